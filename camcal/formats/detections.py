@@ -33,6 +33,7 @@ from camcal.formats.tables import (
     cell,
     csv_rows,
     far_outside,
+    numbered,
     numbered_lines,
     pixel_covariances,
 )
@@ -68,19 +69,27 @@ def read(path: str | Path, board: Board | None = None, image_size: vnl.ImageSize
 def write(path: str | Path, detections: Detections) -> None:
     """Write detections in the form the file's suffix says; raises InvalidInput for what the form cannot hold."""
     path = Path(path)
-    form = vnl.text if path.suffix.lower() == vnl.SUFFIX else _csv_text
+    form = vnl.text if path.suffix.lower() == vnl.SUFFIX else csv_text
     files.write_text(path, form(detections))
 
 
 def read_csv(path: Path, board: Board | None = None) -> Detections:
     """Return the detections in a CSV file; `board` takes the place of the board the file names."""
-    lines = numbered_lines(path)
-    board = _board(str(path), lines[0][1] if lines else "", board)
-    nothing = [(number, _nothing(str(path), number, line)) for number, line in lines if line.startswith(NONE)]
-    views = [*nothing, *_views(Table.from_csv(str(path), lines, COLUMNS, OPTIONAL), board)]
+    return _of_lines(str(path), numbered_lines(path), board)
+
+
+def parse_csv(text: str, where: str, board: Board | None = None) -> Detections:
+    """Return the detections in the text of a CSV file, as `read_csv` does; where: what messages call it."""
+    return _of_lines(where, numbered(text, where), board)
+
+
+def _of_lines(where: str, lines: Lines, board: Board | None) -> Detections:
+    board = _board(where, lines[0][1] if lines else "", board)
+    nothing = [(number, _nothing(where, number, line)) for number, line in lines if line.startswith(NONE)]
+    views = [*nothing, *_views(Table.from_csv(where, lines, COLUMNS, OPTIONAL), board)]
     views.sort(key=lambda view: view[0])
-    _refuse_repeats(str(path), views)
-    return Detections(board, tuple(view for _, view in views), _circles(str(path), lines))
+    _refuse_repeats(where, views)
+    return Detections(board, tuple(view for _, view in views), _circles(where, lines))
 
 
 def _board(path: str, first: str, given: Board | None) -> Board | None:
@@ -263,7 +272,7 @@ def _refuse_repeats(path: str, views: Sequence[Placed]) -> None:
             raise InvalidInput(f"image {view.image!r} is already named at line {first}", where=f"{path}:{line}")
 
 
-def _csv_text(detections: Detections) -> str:
+def csv_text(detections: Detections) -> str:
     """Return the text of a CSV file, without empty columns."""
     views = detections.views
     cameras = any(view.camera for view in views)

@@ -52,7 +52,7 @@ def build(arguments: Sequence[str], board: Board | None, images: Iterable[Mappin
     block: dict[str, Any] = {"tool": "camcal", "tool_version": camcal.__version__, "command": command(arguments)}
     if (stamp := created()) is not None:
         block["created"] = stamp
-    block["libraries"] = _libraries()
+    block["libraries"] = libraries()
     if board is not None:
         block["board"] = boards.block(board)
     block["images"] = [dict(image) for image in images]
@@ -88,7 +88,8 @@ def created() -> str | None:
         raise InvalidInput(f"{epoch!r} is not a number of seconds since 1970", where="SOURCE_DATE_EPOCH") from error
 
 
-def _libraries() -> dict[str, str]:
+def libraries() -> dict[str, str]:
+    """Return the versions of the libraries that numbers depend on."""
     found = {distribution: _version(distribution) for distribution in (*OPENCV, "numpy", "scipy")}
     opencv = next((version for name in OPENCV if (version := found[name])), None)
     versions = {"opencv": opencv, "numpy": found["numpy"], "scipy": found["scipy"]}

@@ -32,9 +32,16 @@ def numbered_lines(path: Path) -> list[tuple[int, str]]:
 
     Raises FileError if the file cannot be read or has more than MAX_LINES.
     """
-    text = files.read_text(path)
+    return numbered(files.read_text(path), str(path))
+
+
+def numbered(text: str, where: str) -> list[tuple[int, str]]:
+    """Return the lines of a text that are not blank, with their numbers from 1; where: what messages call it.
+
+    Raises FileError for more than MAX_LINES.
+    """
     if text.count("\n") > MAX_LINES:
-        raise FileError(f"{text.count(chr(10))} lines are more than the limit of {MAX_LINES}", where=str(path))
+        raise FileError(f"{text.count(chr(10))} lines are more than the limit of {MAX_LINES}", where=where)
     lines = text.replace("\r\n", "\n").split("\n")
     return [(number, line) for number, line in enumerate(lines, start=1) if line.strip()]
 

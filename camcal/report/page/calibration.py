@@ -1,0 +1,205 @@
+"""The sections of a report on the calibration of a camera."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from math import degrees, isfinite
+
+import numpy as np
+
+from camcal.calibrate.intrinsics import Calibration
+from camcal.calibrate.jackknife import CandidateModel
+from camcal.cameras.validity import ImageCircle, field_of_view
+from camcal.messages import Message
+from camcal.quality.assess import Assessment
+from camcal.quality.projection_uncertainty import ProjectionUncertainty
+from camcal.report.calibration import CANDIDATE_COLUMNS, candidate_rows, parameter_rows, summary
+from camcal.report.figures.calibration import calibration_plots
+from camcal.report.page.pictures import pictures
+from camcal.report.page.record import Figure, Picture, Section, Table, Verdict
+from camcal.report.page.thumbnails import MOST, thumbnails
+from camcal.report.page.verdict import checks_table, verdict
+from camcal.report.uncertain import held_by_prior_words, number_text, projection_words, value_and_std, value_with_std
+from camcal.targets.surface import RATIOS, Surface
+
+_LISTED = 20  # images in a table that is not folded
+_STRONG = 0.9  # correlations that are listed
+
+
+@dataclass(frozen=True, eq=False)
+class CalibratedCamera:
+    """What a report shows of a camera. candidates: lens models that were compared. photos: by `photo_key`.
+
+    name: "" for a single camera. most: thumbnails at most.
+    """
+
+    calibration: Calibration
+    uncertainty: ProjectionUncertainty
+    assessment: Assessment
+    circle: ImageCircle | None = None
+    candidates: Sequence[CandidateModel] = ()
+    photos: Mapping[str, str] = field(default_factory=dict)
+    name: str = ""
+    most: int = MOST
+
+    @property
+    def prefix(self) -> str:
+        """What begins the ids of its elements in the page."""
+        return f"{self.name}-" if self.name else ""
+
+
+def camera_verdict(camera: CalibratedCamera, warnings: Sequence[Message]) -> Verdict:
+    """Return the verdict in words; warnings: all of the calibration, those of detection too."""
+    known = _at_corner(camera.uncertainty)
+    where = f", {known} at the image corner" if known else ""
+    figures = camera.uncertainty.figures()
+    inside = figures.get("inside_rms_px", figures.get("rms_px", float("nan")))
+    words = f"Projected points are uncertain by {_px(inside)} RMS where corners were seen{where} (1 sigma)."
+    return verdict(camera.assessment.failures, warnings, words)
+
+
+def key_figures(camera: CalibratedCamera) -> Iterator[Figure]:
+    """Yield the figures that are read first."""
+    calibration, lens = camera.calibration, camera.calibration.camera
+    focal = " / ".join(value_with_std(lens.value(name), lens.std(name)) for name in ("fx", "fy"))
+    yield Figure("Focal length fx / fy", f"{focal} px", "± 1 standard deviation")
+    yield Figure("Reprojection error (RMS)", f"{calibration.rms_px:.3f} px", f"noise of a coordinate {calibration.sigma_px:.3f} px")
+    centre, corner = _at_centre(camera.uncertainty), _at_corner(camera.uncertainty)
+    yield Figure(
+        "Projection uncertainty",
+        f"{centre or 'unknown'} / {corner or 'unknown'}",
+        "image centre / image corner, 1 sigma" + ("" if corner else "; the lens model is not valid at the corner"),
+    )
+    used, views = len(calibration.used), len(calibration.views)
+    yield Figure("Views used", f"{used} of {views}", f"{views - used} without a usable board or rejected" if used < views else "")
+    corners, rejected = len(calibration.residuals), len(calibration.rejected)
+    yield Figure("Corners used", f"{corners}", f"{rejected} rejected")
+    width, height = lens.image_size
+    horizontal, vertical, _ = (degrees(angle) for angle in field_of_view(lens, camera.circle))
+    angles = f", field of view {horizontal:.1f}° x {vertical:.1f}°" if isfinite(horizontal + vertical) else ""
+    yield Figure("Lens model", lens.model.name, f"{width} x {height} px{angles}")
+
+
+def _at_centre(uncertainty: ProjectionUncertainty) -> str:
+    grid = _grid(uncertainty)
+    return _known(float(grid[grid.shape[0] // 2, grid.shape[1] // 2]))
+
+
+def _at_corner(uncertainty: ProjectionUncertainty) -> str:
+    """Return the uncertainty at the corner of the image where it is largest, "" where one of them is not valid."""
+    grid = _grid(uncertainty)
+    return _known(float(np.max(grid[[0, 0, -1, -1], [0, -1, 0, -1]])))
+
+
+def _grid(uncertainty: ProjectionUncertainty) -> np.ndarray:
+    return uncertainty.std_rms.reshape(len(uncertainty.v), len(uncertainty.u))
+
+
+def _known(value: float) -> str:
+    return _px(value) if isfinite(value) else ""
+
+
+def _px(value: float) -> str:
+    return f"{number_text(value, 2)} px"
+
+
+def camera_sections(camera: CalibratedCamera, warnings: Sequence[Message] = ()) -> Iterator[Section]:
+    """Yield the sections on a camera, from what a reader asks first to details."""
+    calibration, prefix = camera.calibration, camera.prefix
+    plots = calibration_plots(calibration, camera.uncertainty, camera.candidates, camera.circle)
+    found = pictures(plots, prefix)
+
+    def taken(*names: str) -> list[Picture]:
+        return [found.pop(name) for name in names if name in found]
+
+    words = projection_words({name.replace("worst", "max"): value for name, value in camera.uncertainty.figures().items()})
+    yield Section(f"{prefix}uncertainty", "Projection uncertainty", [f"{words}."], pictures=taken("projection_uncertainty"))
+    residuals = ("residual_vectors", "residuals_over_radius", "residuals_by_view", "residual_histogram")
+    yield Section(f"{prefix}residuals", "Residuals", summary(calibration), pictures=taken(*residuals))
+    yield Section(f"{prefix}coverage", "Coverage", pictures=taken("coverage"))
+    yield board_section(calibration.surface, taken("board_shape", "board_height"), prefix)
+    yield Section(f"{prefix}poses", "Poses", pictures=taken("poses"))
+    yield images_section(camera)
+    yield _parameters(calibration, taken("correlations"), prefix)
+    if camera.candidates:
+        heads = [column.head for column in CANDIDATE_COLUMNS]
+        table = Table("Lens models by how well they predict left-out views", heads, candidate_rows(camera.candidates), (False, True, True, False))
+        yield Section(f"{prefix}models", "Choice of the lens model", pictures=taken("lens_models"), tables=[table])
+    yield Section(f"{prefix}checks", "Checks", _checked(warnings), tables=[checks_table(warnings)])
+    if found:
+        yield Section(f"{prefix}more", "Further figures", pictures=list(found.values()))
+
+
+def _checked(messages: Sequence[Message]) -> list[str]:
+    named = ", ".join(dict.fromkeys(each.code for each in messages))
+    return [f"Named: {named}." if named else "No fault was named."]
+
+
+def board_section(surface: Surface, shown: Sequence[Picture], prefix: str = "") -> Section:
+    """Return the section on the board: its type, its shape and how well that is known."""
+    factor, unit = (1e3, "mm") if surface.board.unit == "m" else (1.0, "squares")
+    bend = value_with_std(factor * surface.deflection, factor * surface.deflection_std)
+    lines = [f"Board: {surface.board.words}.", f"Deflection {bend} {unit} peak to peak, out of plane."]
+    rows = []
+    for term, value, std in zip(surface.terms, surface.coefficients.tolist(), surface.coefficients_std().tolist(), strict=True):
+        scale, what = (100.0, "%") if term in RATIOS else (factor, unit)
+        rows.append([term, *value_and_std(scale * value, scale * std), what])
+    table = Table("Terms of the board's shape", ("term", "value", "± std", "unit"), rows, (False, True, True, False), folded=True)
+    if surface.offsets is not None:
+        largest = factor * float(np.abs(surface.offsets).max())
+        lines.append(f"Per-corner offsets were estimated; the largest is {largest:.2g} {unit}.")
+    return Section(f"{prefix}board", "Board shape", lines, pictures=shown, tables=[table] if rows else [])
+
+
+def images_section(camera: CalibratedCamera) -> Section:
+    """Return the section on the images: the worst as thumbnails, all in a table."""
+    calibration = camera.calibration
+    shown, factor = thumbnails(calibration, camera.photos, camera.name, camera.most)
+    more = f"; the other {len(calibration.views) - len(shown)} are in the table" if len(shown) < len(calibration.views) else ""
+    lines = [
+        f"White dots: corners. Yellow lines: residuals, magnified {factor} times. Orange crosses: rejected corners. "
+        f"Rejected images first, then by RMS{more}."
+    ]
+    rows = [
+        [view.image, "yes" if view.used else "no", f"{view.kept or view.points}", "" if view.rms_px is None else f"{view.rms_px:.3f}", view.reason or ""]
+        for view in calibration.views
+    ]
+    table = Table(
+        "All images" if not camera.name else f"All images of {camera.name}",
+        ("image", "used", "corners", "RMS, px", "not used because"),
+        rows,
+        (False, False, True, True, False),
+        folded=len(rows) > _LISTED,
+    )
+    return Section(f"{camera.prefix}images", "Images", lines, tables=[table], thumbnails=shown)
+
+
+def _parameters(calibration: Calibration, shown: Sequence[Picture], prefix: str) -> Section:
+    camera = calibration.camera
+    rows = [[name, value, std, _unit(name)] for name, value, std in parameter_rows(calibration)]
+    tables = [Table("Lens parameters", ("parameter", "value", "± std", "unit"), rows, (False, True, True, False))]
+    names = [name for name in camera.model.parameter_names if camera.std(name)]
+    if camera.covariance is not None and len(names) > 1:
+        tables.append(_strongest(calibration, names))
+    lines = [f"Lens model {camera.model.name}."]
+    lines += [f"{held_by_prior_words(calibration.held_by_prior)}."] if calibration.held_by_prior else []
+    return Section(f"{prefix}parameters", "Parameters", lines, pictures=shown, tables=tables)
+
+
+def _strongest(calibration: Calibration, names: Sequence[str]) -> Table:
+    """Return the table of strongly correlated parameters, the strongest first."""
+    camera = calibration.camera
+    assert camera.covariance is not None
+    index = [camera.model.parameter_names.index(name) for name in names]
+    part = camera.covariance[np.ix_(index, index)]
+    std = np.sqrt(np.diag(part))
+    pairs = [
+        (float(part[i, j] / (std[i] * std[j])), names[i], names[j]) for i in range(len(names)) for j in range(i)
+    ]
+    strong = sorted((pair for pair in pairs if abs(pair[0]) > _STRONG), key=lambda pair: -abs(pair[0]))
+    rows = [[f"{one}, {other}", f"{share:+.3f}"] for share, one, other in strong]
+    caption = f"Correlations beyond ± {_STRONG:g}" if rows else f"No correlation is beyond ± {_STRONG:g}"
+    return Table(caption, ("parameters", "correlation"), rows, (False, True), folded=True)
+
+
+def _unit(name: str) -> str:
+    return "px" if name in ("fx", "fy", "cx", "cy") else ""

@@ -1,0 +1,121 @@
+"""What a report page shows: plain records of words, tables, pictures and blocks of data, in their order."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+GOOD, WEAK, BAD, REFUSED, UNKNOWN = "good", "weak", "bad", "refused", "unknown"
+FAILURE, WARNING = "failure", "warning"
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A failure or a warning. what: what was found. remedy: what to do, "" where the message does not say it.
+
+    rule: the criterion that applies, in words. where: file or camera, "" for the whole result.
+    """
+
+    level: str
+    code: str
+    what: str
+    remedy: str = ""
+    rule: str = ""
+    where: str = ""
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Whether the result may be trusted, in words. state: GOOD, WEAK (usable, with warnings), BAD, REFUSED, UNKNOWN."""
+
+    state: str
+    headline: str
+    why: str
+    advice: str = ""
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A key figure: its name, its value with its standard deviation and unit, and what it means."""
+
+    name: str
+    value: str
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A plot as data URIs, of the light theme and of the dark one; size: width and height in pixels of the page."""
+
+    name: str
+    title: str
+    caption: str
+    alt: str
+    light: str
+    dark: str
+    size: tuple[int, int]
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table; its rows begin with their head. numeric: which columns hold numbers."""
+
+    caption: str
+    heads: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    numeric: Sequence[bool] = ()
+    folded: bool = False
+
+
+@dataclass(frozen=True)
+class Thumbnail:
+    """An image with its corners and residuals; paths are those of an SVG in pixels of the image.
+
+    key: under which its photograph is found again. photo: a JPEG as a data URI, "" without one. used: whether it counts
+    in the calibration. dots, arrows, crosses: corners, residuals magnified, rejected corners.
+    """
+
+    key: str
+    title: str
+    words: str
+    size: tuple[int, int]
+    used: bool
+    photo: str = ""
+    dots: str = ""
+    arrows: str = ""
+    crosses: str = ""
+
+
+@dataclass(frozen=True)
+class Section:
+    """A part of the page under a heading. lines: sentences. commands: what to type. thumbnails: images, worst first."""
+
+    name: str
+    title: str
+    lines: Sequence[str] = ()
+    findings: Sequence[Finding] = ()
+    pictures: Sequence[Picture] = ()
+    tables: Sequence[Table] = ()
+    thumbnails: Sequence[Thumbnail] = ()
+    commands: Sequence[str] = ()
+
+
+@dataclass(frozen=True)
+class DataBlock:
+    """Data that the page carries: the id of its element, its media type, and its text, which holds no markup."""
+
+    name: str
+    type: str
+    text: str
+
+
+@dataclass(frozen=True)
+class Page:
+    """A report. subtitle: what it is of, in a line. made: program and version. blocks: what it is run again with."""
+
+    title: str
+    subtitle: str
+    verdict: Verdict
+    findings: Sequence[Finding]
+    figures: Sequence[Figure]
+    sections: Sequence[Section]
+    made: str
+    blocks: Sequence[DataBlock] = ()

@@ -1,0 +1,1 @@
+"""`camcal report` and `camcal rerun`, and the pages that `calibrate` and `rig` write."""

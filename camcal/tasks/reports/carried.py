@@ -1,0 +1,184 @@
+"""What a report carries to be run again: the options as settings, and what cannot be found out from detections."""
+
+import base64
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from camcal import files
+from camcal.calibrate.jackknife import CandidateModel
+from camcal.errors import InvalidInput
+from camcal.formats import boards, page_data
+from camcal.formats.page_data import DETECTIONS, DETECTIONS_TYPE, FORMAT, RUN, RUN_TYPE, VERSION
+from camcal.messages import Message, as_data
+from camcal.options import Declared, assembled, declared
+from camcal.parsing import did_you_mean
+from camcal.report.page.record import DataBlock
+from camcal.run.paths import split_address
+from camcal.targets.board import Board
+from camcal.targets.detection import BoardDetection, Detections
+from camcal.tasks.calibration.corner_refinement import RefinementSummary
+from camcal.tasks.reports.environment import environment
+
+_GUESS = "guess"
+Candidates = Mapping[tuple[str, ...], Sequence[CandidateModel]]
+
+
+def blocks(run: Mapping[str, Any], found: Detections) -> tuple[DataBlock, ...]:
+    """Return the data elements of a page."""
+    return (
+        DataBlock(RUN, RUN_TYPE, page_data.run_text(run)),
+        DataBlock(DETECTIONS, DETECTIONS_TYPE, page_data.detections_text(found)),
+    )
+
+
+def run_of(command: str, options: Any, board: Board, views: Sequence[BoardDetection], result: str) -> dict[str, Any]:
+    """Return what every report carries; result: the text of the camera file, "" without one."""
+    hashes = {hash_key(view): view.sha256 for view in views if view.sha256}
+    return {
+        "format": FORMAT,
+        "version": VERSION,
+        "command": command,
+        "options": settings_of(options),
+        "board": boards.block(board),
+        "guess": _guess_files(options),
+        "hashes": hashes,
+        "environment": environment(),
+        "result": result,
+    }
+
+
+def hash_key(view: BoardDetection) -> str:
+    """Return the key under which the hash of a view's image is carried."""
+    return f"{view.camera}/{view.image}" if view.camera else view.image
+
+
+def settings_of(options: Any) -> dict[str, Any]:
+    """Return the recorded options that differ from their defaults as settings files have them, arguments too."""
+    given = ((each, each.of(options)) for each in declared(type(options)) if each.option.recorded)
+    return {
+        _key(each): each.setting(value) for each, value in given if value is not None and value != each.default and value != ()
+    }
+
+
+def _key(each: Declared) -> str:
+    """Return the key of an option: its fields."""
+    return ".".join(each.path)
+
+
+def options_of(record: type, settings: Mapping[str, Any]) -> Any:
+    """Return the options record of settings; raises InvalidInput for one that it does not have, or its value."""
+    known = {_key(each): each for each in declared(record) if each.option.recorded}
+    values = {}
+    for key, given in settings.items():
+        if key not in known:
+            raise InvalidInput(f"options.{key}: unknown option{did_you_mean(key, list(known))}")
+        values[known[key].path] = known[key].read(_typed(known[key], given))
+    return assembled(record, values)
+
+
+def _typed(each: Declared, given: Any) -> Any:
+    """Return a setting if it is of the type that the option takes; raises InvalidInput."""
+    many = each.several or each.option.values > 1
+    if each.flag:
+        fits = isinstance(given, bool)
+    elif many:
+        fits = isinstance(given, list) and all(isinstance(item, str) for item in given)
+    else:
+        fits = isinstance(given, str)
+    if not fits:
+        raise InvalidInput(f"options.{_key(each)}: {given!r} is not a value of this option")
+    return given
+
+
+def _guess_files(options: Any) -> list[dict[str, str]]:
+    """Return the camera files that the options start from, with their content."""
+    found = []
+    for name, value in _guesses(options):
+        path = split_address(value)[0]
+        found.append({"name": name, "content": base64.b64encode(files.read_bytes(path)).decode("ascii")})
+    return found
+
+
+def _guesses(options: Any) -> list[tuple[str, str]]:
+    """Return the guesses of options, each as it is given and as FILE or FILE#NAME."""
+    values = [each.of(options) for each in declared(type(options)) if each.path[-1] == _GUESS]
+    texts = [text for value in values if value for text in ((value,) if isinstance(value, str) else value)]
+    return [(text, text.partition("=")[2] or text) for text in texts]
+
+
+def unpacked_guesses(run: Mapping[str, Any], options: Any, folder: Path) -> list[str]:
+    """Return the guesses of options with their files in a folder, after writing these there."""
+    carried = {each["name"]: each["content"] for each in run.get(_GUESS, [])}
+    result = []
+    for index, (name, address) in enumerate(_guesses(options)):
+        if name not in carried:
+            raise InvalidInput(f"carries no content of --guess {name}")
+        path, camera = split_address(address)
+        copy = folder / str(index) / path.name
+        copy.parent.mkdir()
+        copy.write_bytes(page_data.file_content(carried[name], name))
+        start = name.partition("=")[0] + "=" if "=" in name else ""
+        result.append(f"{start}{copy}" + (f"#{camera}" if camera else ""))
+    return result
+
+
+def messages_data(messages: Sequence[Message]) -> list[dict[str, Any]]:
+    """Return messages as plain data without empty values."""
+    return [
+        {key: _plain(value) for key, value in each.items() if value is not None and value != {}}
+        for each in as_data(messages)
+    ]
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _plain(item) for key, item in value.items()}
+    return list(value) if isinstance(value, tuple) else value
+
+
+def messages_of(data: Sequence[Mapping[str, Any]]) -> tuple[Message, ...]:
+    """Return the messages of plain data."""
+    return tuple(
+        Message(
+            each["code"],
+            each["text"],
+            {name: tuple(value) if isinstance(value, list) else value for name, value in each.get("values", {}).items()},
+            each.get("where"),
+        )
+        for each in data
+    )
+
+
+def candidates_data(candidates: Candidates) -> list[dict[str, Any]]:
+    """Return lens models that were compared as plain data, by the cameras they were compared for."""
+    return [{"cameras": list(names), "models": [_candidate_data(own) for own in models]} for names, models in candidates.items()]
+
+
+def _candidate_data(own: CandidateModel) -> dict[str, Any]:
+    total = None if own.scores is None else float(own.scores.sum())
+    data = {"name": own.name, "corners": own.corners, "total": total, "sigma_px": own.sigma_px, "reason": own.reason}
+    return {key: value for key, value in data.items() if value is not None}
+
+
+def candidates_of(data: Sequence[Mapping[str, Any]]) -> dict[tuple[str, ...], tuple[CandidateModel, ...]]:
+    """Return the lens models of plain data."""
+    return {tuple(each["cameras"]): tuple(map(_candidate, each["models"])) for each in data}
+
+
+def _candidate(data: Mapping[str, Any]) -> CandidateModel:
+    scores = np.array([data["total"]]) if "total" in data else None
+    return CandidateModel(data["name"], scores, data["corners"], data.get("sigma_px"), data.get("reason"))
+
+
+def refinement_of(data: Mapping[str, Any] | None) -> RefinementSummary | None:
+    """Return what the second pass of corner refinement changed, as it was recorded."""
+    if not data:
+        return None
+    try:
+        added, removed = int(data["added"]), int(data["removed"])
+        return RefinementSummary(added, removed, data["sigma_before_px"], data["sigma_after_px"])
+    except KeyError as error:
+        raise InvalidInput(f"refinement: missing key {error}") from None

@@ -1,0 +1,58 @@
+"""The options of `camcal report` and `camcal rerun`, and the option of the commands that write a report."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from camcal.options import INPUT, LENS, OUTPUT, SIZE, Argument, Option, OptionsRecord, Written
+from camcal.tasks.options import FOLDER, BoardText, Overwrite, lens_models, output_option
+
+PAGE = Written((".html",))
+
+Page = Annotated[
+    Path | None,
+    Option(
+        "Also write a report: one HTML file with verdict, figures and data, see 'camcal report'.",
+        metavar="FILE",
+        group=OUTPUT,
+        names="--report",
+        recorded=False,
+        written=PAGE,
+    ),
+]
+
+
+@dataclass(frozen=True)
+class ReportOptions(OptionsRecord):
+    """A camera file, a rig file or a detections file, and where its report goes.
+
+    board, model, image_size: of detections, as for `calibrate`.
+    """
+
+    file: Annotated[str, Argument("Camera file, rig file or detections file.", metavar="CAMERA|RIG|DETECTIONS")]
+    output: Annotated[Path | None, output_option("Report, one HTML file.", PAGE, "FILE", required=True)] = None
+    board: BoardText = None
+    model: Annotated[
+        str | None,
+        Option(
+            lambda: f"Lens model for detections: {lens_models()}. By default as 'camcal calibrate'.",
+            metavar="MODEL",
+            group=LENS,
+        ),
+    ] = None
+    image_size: Annotated[
+        tuple[int, int] | None,
+        Option("Image size for a .vnl file, which does not contain it.", metavar="WxH", group=INPUT, type=SIZE),
+    ] = None
+    overwrite: Overwrite = False
+
+
+@dataclass(frozen=True)
+class RerunOptions(OptionsRecord):
+    """A report, and the folder for the camera or rig file and the report that are made again."""
+
+    file: Annotated[Path, Argument("Report written by camcal.", metavar="REPORT")]
+    output: Annotated[
+        Path, output_option("Folder for camera.yaml or rig.yaml and report.html.", FOLDER, "DIR", required=True)
+    ]
+    overwrite: Overwrite = False
