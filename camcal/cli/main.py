@@ -40,6 +40,8 @@ COMMANDS = (
     Entry("detect", "calibrate:detect", "Find the corners of a board in images."),
     Entry("calibrate", "calibrate:calibrate", "Calibrate one camera from images of a board."),
     Entry("rig", "rig:rig", "Calibrate several cameras together."),
+    Entry("report", "reports:report", "Write a report as one HTML file."),
+    Entry("rerun", "reports:rerun", "Calibrate again from a report and compare."),
     Entry("undistort", "undistort:undistort", "Undistort images, videos or points."),
     Entry("plot", "plot:plot", "Draw figures of result files."),
     Entry("convert", "convert:convert", "Convert camera files from and to OpenCV, ROS and Kalibr."),

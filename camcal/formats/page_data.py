@@ -19,13 +19,13 @@ from typing import Any
 from camcal import files
 from camcal.errors import FileError, InvalidInput, Located
 from camcal.formats import boards, detections, documents
-from camcal.formats.schema import flag, integer, items, mapping, number, one_of, plain, text
+from camcal.formats.schema import integer, items, mapping, number, one_of, plain, text
 from camcal.targets.detection import Detections
 
 FORMAT, VERSION = "camcal-report", 1
 RUN, DETECTIONS = "camcal-run", "camcal-detections"
 RUN_TYPE, DETECTIONS_TYPE = "application/json", "text/plain"
-CALIBRATE, RIG, STEREO = "calibrate", "rig", "stereo calibrate"
+CALIBRATE, RIG = "calibrate", "rig"
 
 _LARGEST = 64 << 20  # bytes of a page
 _LARGEST_TABLE = 256 << 20  # bytes of its detections
@@ -48,7 +48,8 @@ _RUN = mapping(
     {
         "format": one_of([FORMAT], "format"),
         "version": integer(1),
-        "command": one_of([CALIBRATE, RIG, STEREO], "command"),
+        "command": one_of([CALIBRATE, RIG], "command"),
+        "words": items(text),
         "options": mapping({}, others=plain),
         "board": boards.check,
         "environment": mapping({}, others=text),
@@ -65,7 +66,6 @@ _RUN = mapping(
         "refinement": mapping({}, others=number()),
         "candidates": items(mapping({"cameras": items(text), "models": items(_CANDIDATE)})),
         "captures": _CAPTURES,
-        "refined": flag,
     },
 )
 
@@ -105,7 +105,9 @@ def read(path: Path, photo: re.Pattern[str]) -> PageData:
         raise FileError("damaged: not a JSON object", where=where)
     document = documents.Document(where, run, {})
     if isinstance(version := run.get("version"), int) and version > VERSION:
-        raise InvalidInput(f"version {version} is newer than this camcal (reads {VERSION}); upgrade camcal", where=where)
+        raise InvalidInput(
+            f"version {version} is newer than this camcal (reads {VERSION}); upgrade camcal", where=where
+        )
     if faults := list(_RUN(run, "")):
         raise document.error(faults)
     with Located(f"{path}: {DETECTIONS}"):

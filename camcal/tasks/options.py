@@ -33,6 +33,7 @@ FIGURES = Written((".png", ".svg", ".pdf"))
 CAMERA_FILE = Written((".yaml", ".yml", ""), stdout=True)
 DETECTIONS = Written((".csv", ".vnl"), stdout=True)
 FOLDER = Written(folder=True)
+PAGE = Written((".html",))
 
 
 def image_suffixes() -> tuple[str, ...]:
@@ -109,6 +110,16 @@ BOARD_OPTION = Option(
     type=TEXT,
 )
 BoardText = Annotated[str | None, BOARD_OPTION]
+ReportFile = Annotated[
+    Path | None,
+    Option(
+        "Also write a report: one HTML file with the verdict, figures and data to repeat it.",
+        metavar="FILE",
+        group=OUTPUT,
+        recorded=False,
+        written=PAGE,
+    ),
+]
 CameraName = Annotated[
     str | None,
     Option(

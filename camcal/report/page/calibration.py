@@ -62,7 +62,9 @@ def key_figures(camera: CalibratedCamera) -> Iterator[Figure]:
     calibration, lens = camera.calibration, camera.calibration.camera
     focal = " / ".join(value_with_std(lens.value(name), lens.std(name)) for name in ("fx", "fy"))
     yield Figure("Focal length fx / fy", f"{focal} px", "± 1 standard deviation")
-    yield Figure("Reprojection error (RMS)", f"{calibration.rms_px:.3f} px", f"noise of a coordinate {calibration.sigma_px:.3f} px")
+    yield Figure(
+        "Reprojection error (RMS)", _px(calibration.rms_px), f"noise of a coordinate {_px(calibration.sigma_px)}"
+    )
     centre, corner = _at_centre(camera.uncertainty), _at_corner(camera.uncertainty)
     yield Figure(
         "Projection uncertainty",
@@ -70,7 +72,9 @@ def key_figures(camera: CalibratedCamera) -> Iterator[Figure]:
         "image centre / image corner, 1 sigma" + ("" if corner else "; the lens model is not valid at the corner"),
     )
     used, views = len(calibration.used), len(calibration.views)
-    yield Figure("Views used", f"{used} of {views}", f"{views - used} without a usable board or rejected" if used < views else "")
+    yield Figure(
+        "Views used", f"{used} of {views}", f"{views - used} without a usable board or rejected" if used < views else ""
+    )
     corners, rejected = len(calibration.residuals), len(calibration.rejected)
     yield Figure("Corners used", f"{corners}", f"{rejected} rejected")
     width, height = lens.image_size
@@ -99,7 +103,7 @@ def _known(value: float) -> str:
 
 
 def _px(value: float) -> str:
-    return f"{number_text(value, 2)} px"
+    return f"{number_text(value, 3)} px"
 
 
 def camera_sections(camera: CalibratedCamera, warnings: Sequence[Message] = ()) -> Iterator[Section]:
@@ -111,18 +115,25 @@ def camera_sections(camera: CalibratedCamera, warnings: Sequence[Message] = ()) 
     def taken(*names: str) -> list[Picture]:
         return [found.pop(name) for name in names if name in found]
 
-    words = projection_words({name.replace("worst", "max"): value for name, value in camera.uncertainty.figures().items()})
-    yield Section(f"{prefix}uncertainty", "Projection uncertainty", [f"{words}."], pictures=taken("projection_uncertainty"))
+    words = projection_words(
+        {name.replace("worst", "max"): value for name, value in camera.uncertainty.figures().items()}
+    )
+    known = ("projection_uncertainty", "coverage")
+    yield Section(f"{prefix}uncertainty", "Projection uncertainty and coverage", [f"{words}."], pictures=taken(*known))
     residuals = ("residual_vectors", "residuals_over_radius", "residuals_by_view", "residual_histogram")
     yield Section(f"{prefix}residuals", "Residuals", summary(calibration), pictures=taken(*residuals))
-    yield Section(f"{prefix}coverage", "Coverage", pictures=taken("coverage"))
     yield board_section(calibration.surface, taken("board_shape", "board_height"), prefix)
     yield Section(f"{prefix}poses", "Poses", pictures=taken("poses"))
     yield images_section(camera)
     yield _parameters(calibration, taken("correlations"), prefix)
     if camera.candidates:
         heads = [column.head for column in CANDIDATE_COLUMNS]
-        table = Table("Lens models by how well they predict left-out views", heads, candidate_rows(camera.candidates), (False, True, True, False))
+        table = Table(
+            "Lens models by how well they predict left-out views",
+            heads,
+            candidate_rows(camera.candidates),
+            (False, True, True, False),
+        )
         yield Section(f"{prefix}models", "Choice of the lens model", pictures=taken("lens_models"), tables=[table])
     yield Section(f"{prefix}checks", "Checks", _checked(warnings), tables=[checks_table(warnings)])
     if found:
@@ -140,10 +151,14 @@ def board_section(surface: Surface, shown: Sequence[Picture], prefix: str = "") 
     bend = value_with_std(factor * surface.deflection, factor * surface.deflection_std)
     lines = [f"Board: {surface.board.words}.", f"Deflection {bend} {unit} peak to peak, out of plane."]
     rows = []
-    for term, value, std in zip(surface.terms, surface.coefficients.tolist(), surface.coefficients_std().tolist(), strict=True):
+    for term, value, std in zip(
+        surface.terms, surface.coefficients.tolist(), surface.coefficients_std().tolist(), strict=True
+    ):
         scale, what = (100.0, "%") if term in RATIOS else (factor, unit)
         rows.append([term, *value_and_std(scale * value, scale * std), what])
-    table = Table("Terms of the board's shape", ("term", "value", "± std", "unit"), rows, (False, True, True, False), folded=True)
+    table = Table(
+        "Terms of the board's shape", ("term", "value", "± std", "unit"), rows, (False, True, True, False), folded=True
+    )
     if surface.offsets is not None:
         largest = factor * float(np.abs(surface.offsets).max())
         lines.append(f"Per-corner offsets were estimated; the largest is {largest:.2g} {unit}.")
@@ -154,13 +169,23 @@ def images_section(camera: CalibratedCamera) -> Section:
     """Return the section on the images: the worst as thumbnails, all in a table."""
     calibration = camera.calibration
     shown, factor = thumbnails(calibration, camera.photos, camera.name, camera.most)
-    more = f"; the other {len(calibration.views) - len(shown)} are in the table" if len(shown) < len(calibration.views) else ""
-    lines = [
-        f"White dots: corners. Yellow lines: residuals, magnified {factor} times. Orange crosses: rejected corners. "
+    more = (
+        f"; the other {len(calibration.views) - len(shown)} are in the table"
+        if len(shown) < len(calibration.views)
+        else ""
+    )
+    words = (
+        f"Blue dots: corners. Yellow lines: residuals, magnified {factor} times. Orange crosses: rejected corners. "
         f"Rejected images first, then by RMS{more}."
-    ]
+    )
     rows = [
-        [view.image, "yes" if view.used else "no", f"{view.kept or view.points}", "" if view.rms_px is None else f"{view.rms_px:.3f}", view.reason or ""]
+        [
+            view.image,
+            "yes" if view.used else "no",
+            f"{view.kept or view.points}",
+            "" if view.rms_px is None else f"{view.rms_px:.3g}",
+            view.reason or "",
+        ]
         for view in calibration.views
     ]
     table = Table(
@@ -170,7 +195,7 @@ def images_section(camera: CalibratedCamera) -> Section:
         (False, False, True, True, False),
         folded=len(rows) > _LISTED,
     )
-    return Section(f"{camera.prefix}images", "Images", lines, tables=[table], thumbnails=shown)
+    return Section(f"{camera.prefix}images", "Images", [words], tables=[table], thumbnails=shown)
 
 
 def _parameters(calibration: Calibration, shown: Sequence[Picture], prefix: str) -> Section:
@@ -192,9 +217,7 @@ def _strongest(calibration: Calibration, names: Sequence[str]) -> Table:
     index = [camera.model.parameter_names.index(name) for name in names]
     part = camera.covariance[np.ix_(index, index)]
     std = np.sqrt(np.diag(part))
-    pairs = [
-        (float(part[i, j] / (std[i] * std[j])), names[i], names[j]) for i in range(len(names)) for j in range(i)
-    ]
+    pairs = [(float(part[i, j] / (std[i] * std[j])), names[i], names[j]) for i in range(len(names)) for j in range(i)]
     strong = sorted((pair for pair in pairs if abs(pair[0]) > _STRONG), key=lambda pair: -abs(pair[0]))
     rows = [[f"{one}, {other}", f"{share:+.3f}"] for share, one, other in strong]
     caption = f"Correlations beyond ± {_STRONG:g}" if rows else f"No correlation is beyond ± {_STRONG:g}"

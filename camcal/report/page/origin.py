@@ -40,9 +40,9 @@ def repeat_section(command: str, *, again: bool = True) -> Section:
 def _repeat_lines(*, again: bool) -> Iterator[str]:
     if again:
         yield (
-            "This file carries the detections and the options. The first command calibrates again from these and writes "
-            "the camera or rig file and this report: the same bytes on the same machine with the same libraries. "
-            "Elsewhere it says what differs; differences below 1e-6 standard deviations count as none."
+            "This file carries the detections and the options. The first command calibrates again from these and "
+            "writes the camera or rig file and this report: the same bytes on the same machine with the same "
+            "libraries. Elsewhere it says what differs; differences below 1e-6 standard deviations count as none."
         )
         yield "The second command is the one that made this report."
     else:

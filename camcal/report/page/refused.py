@@ -27,7 +27,7 @@ def refused_page(
     """Return the report; failure: why there is no calibration. closing: the last sections."""
     verdict, finding = refusal(failure)
     found = [view for view in views if view.found]
-    lines = ["White dots: detected corners. The corner ids of all views have to be those of the board that is given."]
+    lines = ["Blue dots: detected corners. The corner ids of all views have to be those of the board that is given."]
     return Page(
         title,
         f"{counted(len(views), 'image')}, board: {board.words}",
@@ -47,13 +47,14 @@ def _figures(board: Board, views: Sequence[BoardDetection]) -> list[Figure]:
     found = [view for view in views if view.found]
     corners = sum(len(view.ids) for view in found)
     each = f"median {np.median([len(view.ids) for view in found]):.0f} of {board.count} in a view" if found else ""
-    return [Figure("Images with the board", f"{len(found)} of {len(views)}"), Figure("Corners detected", f"{corners}", each)]
+    return [
+        Figure("Images with the board", f"{len(found)} of {len(views)}"),
+        Figure("Corners detected", f"{corners}", each),
+    ]
 
 
 def _thumbnails(views: Sequence[BoardDetection], photos: Mapping[str, str]) -> list[Thumbnail]:
-    return [
-        corner_thumbnail(view, photos.get(photo_key(view.camera, view.image), "")) for view in views[:MOST]
-    ]
+    return [corner_thumbnail(view, photos.get(photo_key(view.camera, view.image), "")) for view in views[:MOST]]
 
 
 def _table(views: Sequence[BoardDetection]) -> Table:

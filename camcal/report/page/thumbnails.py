@@ -110,7 +110,8 @@ def _thumbnail(
         view.used,
         photos.get(key, ""),
         dots=_dots(each.pixels),
-        arrows=_arrows(each.pixels, each.residuals, factor) + _arrows(each.rejected, each.rejected_residuals, factor, 3 * radius),
+        arrows=_arrows(each.pixels, each.residuals, factor)
+        + _arrows(each.rejected, each.rejected_residuals, factor, 3 * radius),
         crosses="".join(_cross(x, y, radius) for x, y in each.rejected.tolist()),
     )
 
@@ -141,7 +142,7 @@ def _words(view: View, rejected: int) -> str:
     if view.reason is not None:
         return f"not used: {view.reason}"
     lost = f", {rejected} rejected" if rejected else ""
-    return f"RMS {view.rms_px or 0.0:.3f} px, {counted(view.kept, 'corner')}{lost}"
+    return f"RMS {view.rms_px or 0.0:.3g} px, {counted(view.kept, 'corner')}{lost}"
 
 
 def photograph(gray: Array) -> str:

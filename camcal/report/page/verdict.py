@@ -25,6 +25,11 @@ def _finding(level: str, message: Message) -> Finding:
     return Finding(level, message.code, _sentence(what), _sentence(remedy), rule, message.where or "")
 
 
+def reasons(texts: Iterable[str], where: str) -> tuple[Finding, ...]:
+    """Return why a file says that a calibration is not to be trusted."""
+    return tuple(_finding(FAILURE, Message("", text, where=where)) for text in texts)
+
+
 def _sentence(text: str) -> str:
     """Return words as a sentence; names of parameters and files keep their letters."""
     first = text.partition(" ")[0]
@@ -46,13 +51,15 @@ def verdict(failures: Sequence[Message], warnings: Sequence[Message], known: str
     """Return the verdict of a calibration with these failures and warnings; known: how well it is known, a sentence."""
     if failures:
         why = (
-            f"{counted(len(failures), 'check')} failed: what is measured with this calibration may be wrong by more than its "
-            "standard deviations say."
+            f"{counted(len(failures), 'check')} failed: what is measured with this calibration may be wrong by more "
+            "than its standard deviations say."
         )
         return Verdict(BAD, "Do not trust this calibration", why, "The figures below serve to find the cause.")
     if warnings:
         headline = f"Trustworthy, with {counted(len(warnings), 'warning')}"
-        return Verdict(WEAK, headline, f"No check failed. {known}", "The warnings say what is weak, and how to improve it.")
+        return Verdict(
+            WEAK, headline, f"No check failed. {known}", "The warnings say what is weak, and how to improve it."
+        )
     return Verdict(GOOD, "Trustworthy", f"All {len(CRITERIA)} checks passed. {known}")
 
 
@@ -70,7 +77,9 @@ def checks_table(messages: Sequence[Message]) -> Table:
             criterion.code,
             _result(criterion, criterion.code in found),
             _limit(criterion),
-            f"{value:.3g}" if criterion.code in found and isinstance(value := found[criterion.code].values.get("value"), float) else "",
+            f"{value:.3g}"
+            if criterion.code in found and isinstance(value := found[criterion.code].values.get("value"), float)
+            else "",
             criterion.means,
         ]
         for criterion in CRITERIA.values()

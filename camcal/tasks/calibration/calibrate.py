@@ -58,7 +58,8 @@ class Channel:
 
 @dataclass(frozen=True, eq=False)
 class CalibrateReport:
-    """The calibration, its projection uncertainty, its assessment, the file that was written, and failed inputs.
+    """The calibration, its projection uncertainty, its assessment, the file that was written, what it is from, and
+    failed inputs.
 
     warnings: of the detection and of the assessment. lines: other lines of the report. refinement: what the second pass
     of corner refinement changed, None without one. channels: by the names of colours, empty unless asked for. frames:
@@ -70,6 +71,7 @@ class CalibrateReport:
     uncertainty: ProjectionUncertainty
     assessment: Assessment
     file: CameraFile
+    views: BoardViews
     warnings: tuple[Message, ...]
     failed: tuple[str, ...]
     lines: tuple[str, ...] = ()
@@ -121,12 +123,17 @@ def seen_of(options: CalibrateOptions, board: Board | str | None, progress: Prog
 
 
 def calibrated(
-    look: Callable[[], BoardViews], options: CalibrateOptions, progress: Progress = SILENT
+    look: Callable[[], BoardViews],
+    options: CalibrateOptions,
+    progress: Progress = SILENT,
+    command: Sequence[str] | None = None,
 ) -> CalibrateReport:
     """Return the calibration from the views that `look` returns, which is called once the options are checked.
 
-    What the options say of inputs and board is not used. Raises and writes as `calibrate` does.
+    What the options say of inputs and board is not used. command: the words that the file records, None for those of
+    the options. Raises and writes as `calibrate` does.
     """
+    words = command_line("calibrate", options) if command is None else command
     guess = _guess(options, progress)
     how = _solver_options(options, guess)
     seen = look()
@@ -141,7 +148,14 @@ def calibrated(
     if options.save_detections:
         detections.write(options.save_detections, seen.detections)
     progress.start("solving", None)
-    selection = _solve(seen, how, options.model is None, circle)
+    try:
+        selection = _solve(seen, how, options.model is None, circle)
+    except (InsufficientData, NotConverged) as error:
+        if options.report is not None:
+            from camcal.tasks.reports.camera_page import write_refusal
+
+            write_refusal(options.report, seen, options, words, error)
+        raise
     calibration, found, refinement = selection.calibration, selection.warnings, None
     progress.finish()
     if looks_again:
@@ -153,17 +167,18 @@ def calibrated(
     channels = {colour: _channel(calibration, colour, seen.detections.views) for colour in colours}
     assessment = assess(calibration, circle)
     uncertainty = projection_uncertainty(calibration.camera, observed=calibration.pixels, circle=circle)
-    file = camera_file(calibration, uncertainty, assessment, options, channels, circle)
+    file = camera_file(calibration, uncertainty, assessment, options.name, words, channels=channels, circle=circle)
     figures = _write_figures(options, calibration, uncertainty, selection.candidates, circle)
     if options.output is not None:
         native.write(options.output, file)
     found += assessment.warnings
     warn_of(found, progress)
-    return CalibrateReport(
+    report = CalibrateReport(
         calibration,
         uncertainty,
         assessment=assessment,
         file=file,
+        views=seen,
         warnings=seen.warnings + found,
         failed=seen.failed,
         lines=seen.lines + circle_lines(circle) + selection.lines + ((refinement.line,) if refinement else ()),
@@ -173,6 +188,11 @@ def calibrated(
         candidates=selection.candidates,
         figures=figures,
     )
+    if options.report is not None:
+        from camcal.tasks.reports.camera_page import write
+
+        write(options.report, report, options, words)
+    return report
 
 
 def require_good(report: CalibrateReport, options: CalibrateOptions) -> None:
@@ -272,20 +292,22 @@ def camera_file(
     calibration: Calibration,
     uncertainty: ProjectionUncertainty,
     assessment: Assessment,
-    options: CalibrateOptions,
+    name: str,
+    command: Sequence[str],
     channels: Mapping[str, Channel] = MappingProxyType({}),
     circle: ImageCircle | None = None,
 ) -> CameraFile:
     """Return what the camera file says of a calibration; green is the camera itself and no channel of its own.
 
-    circle: the image circle, where there is one.
+    name: of the camera. command: the words that are recorded. circle: the image circle, where there is one.
     """
     entry = camera_entry(calibration, uncertainty, assessment, circle, channels)
     surface = calibration.surface
     return CameraFile(
-        {options.name: entry},
+        {name: entry},
         board_shape=surface if is_shaped(surface) else None,
-        provenance=_provenance(calibration, options) | channel_figures(channels),
+        provenance=provenance.build(command, calibration.board, map(image_record, calibration.views))
+        | channel_figures(channels),
     )
 
 
@@ -381,14 +403,8 @@ def quality_figures(calibration: Calibration) -> dict[str, float]:
     }
 
 
-def _provenance(calibration: Calibration, options: CalibrateOptions) -> dict[str, Any]:
-    return provenance.build(
-        command_line("calibrate", options), calibration.board, [image_record(view) for view in calibration.views]
-    )
-
-
 def image_record(view: View) -> dict[str, Any]:
-    """Return what the provenance says of an image, with the hash of its file."""
+    """Return what the provenance says of an image, with the hash of its file; an empty one is not recorded."""
     path = Path(view.image)
-    digest = view.sha256 or (files.sha256(path) if path.is_file() else None)
-    return view_record(view) | ({} if digest is None else {"sha256": digest})
+    digest = view.sha256 if view.sha256 is not None or not path.is_file() else files.sha256(path)
+    return view_record(view) | ({"sha256": digest} if digest else {})

@@ -32,6 +32,7 @@ from camcal.tasks.options import (
     Jobs,
     Overwrite,
     Recursive,
+    ReportFile,
     lens_models,
     output_option,
     result_option,
@@ -184,7 +185,7 @@ class CalibrateOptions(OptionsRecord):
     a .vnl file. reading: what is made of raw frames, and whether red and blue get lenses of their own. frames: which
     ones of videos are taken. parts: whether parts of a chessboard will do that show which part they are. refine:
     measure the corners once more along the edges that the calibrated lens expects, and calibrate with these; None:
-    where there are images.
+    where there are images. report: an HTML file, None for none; it is written of a refused calibration too.
     mixed_sizes: whether images turned by 90°, of half the size or off by a pixel or two are used. require,
     max_uncertainty (px): what the result has to be, see `require_good`.
     """
@@ -221,6 +222,7 @@ class CalibrateOptions(OptionsRecord):
     max_rejected: MaxRejected = 0.1
     name: Annotated[str, Option("Name of the camera in the file.", metavar="NAME", group=OUTPUT)] = "camera"
     save_detections: SaveDetections = None
+    report: ReportFile = None
     image_size: ImageSize = None
     recursive: Recursive = False
     jobs: Jobs = None

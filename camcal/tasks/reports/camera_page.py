@@ -1,6 +1,6 @@
 """The report page of the calibration of a camera, and of detections that no calibration can be made from."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,38 +10,36 @@ from camcal.errors import CamcalError
 from camcal.formats import provenance
 from camcal.formats.page_data import CALIBRATE
 from camcal.messages import Message, counted
-from camcal.options import command_line
 from camcal.report.page.calibration import CalibratedCamera, camera_sections, camera_verdict, key_figures
 from camcal.report.page.record import Page
 from camcal.report.page.refused import refused_page
 from camcal.report.page.render import rendered
 from camcal.report.page.thumbnails import views_of, worst_first
 from camcal.report.page.verdict import findings
-from camcal.targets.detection import Detections
 from camcal.tasks.calibration.board_views import BoardViews
 from camcal.tasks.calibration.calibrate import CalibrateReport
 from camcal.tasks.calibration.options import CalibrateOptions
 from camcal.tasks.reports.carried import blocks, candidates_data, messages_data, run_of
-from camcal.tasks.reports.closing import closing_sections, made, result_text
+from camcal.tasks.reports.closing import closing_sections, images_of, made, result_text
 from camcal.tasks.reports.photographs import photographs
 
 CAMERA_NAME = "camera.yaml"  # of the file that a rerun writes
 
 
-def write(path: Path, report: CalibrateReport, options: CalibrateOptions) -> None:
-    """Write the report of a calibration; raises FileError."""
+def write(path: Path, report: CalibrateReport, options: CalibrateOptions, words: Sequence[str]) -> None:
+    """Write the report of a calibration; words: the command line that is recorded. Raises FileError."""
     seen = report.views
     chosen = [each.view.image for each in worst_first(views_of(report.calibration))]
     photos = photographs(chosen, seen.detections.views, options.reading, seen.files)
-    run = _run(report, options)
-    files.write_text(path, page_text(report, run, seen.detections, photos))
+    run = _run(report, options, words)
+    files.write_text(path, page_text(report, run, photos))
 
 
-def _run(report: CalibrateReport, options: CalibrateOptions) -> dict[str, Any]:
+def _run(report: CalibrateReport, options: CalibrateOptions, words: Sequence[str]) -> dict[str, Any]:
     """Return what the page carries; what images said beside detections is recorded, the rest is found again."""
     seen = report.views
     text = result_text(report.file, CAMERA_NAME)
-    run = run_of(CALIBRATE, options, seen.board, seen.detections.views, text)
+    run = run_of(CALIBRATE, words, options, seen.board, images_of(report.file), text)
     run |= {"warnings": messages_data(report.warnings), "lines": list(report.lines), "failed": list(report.failed)}
     if not seen.table:
         run["models"] = {options.name: report.calibration.camera.model.name}
@@ -51,7 +49,7 @@ def _run(report: CalibrateReport, options: CalibrateOptions) -> dict[str, Any]:
     return run
 
 
-def page_text(report: CalibrateReport, run: Mapping[str, Any], found: Detections, photos: Mapping[str, str]) -> str:
+def page_text(report: CalibrateReport, run: Mapping[str, Any], photos: Mapping[str, str]) -> str:
     """Return the report of a calibration as HTML."""
     name, entry = next(iter(report.file.cameras.items()))
     camera = CalibratedCamera(
@@ -69,7 +67,7 @@ def page_text(report: CalibrateReport, run: Mapping[str, Any], found: Detections
         figures=tuple(key_figures(camera)),
         sections=sections,
         made=made(),
-        blocks=blocks(run, found),
+        blocks=blocks(run, report.views.detections),
     )
     return rendered(page)
 
@@ -80,24 +78,28 @@ def _subtitle(calibration: Calibration) -> str:
     return f"{calibration.camera.model.name}, {width} x {height} px, from {images} of a {calibration.board.words}"
 
 
-def write_refusal(path: Path, seen: BoardViews, options: CalibrateOptions, error: CamcalError) -> None:
+def write_refusal(
+    path: Path, seen: BoardViews, options: CalibrateOptions, words: Sequence[str], error: CamcalError
+) -> None:
     """Write the report on detections that no calibration can be made from; raises FileError."""
-    run = run_of(CALIBRATE, options, seen.board, seen.detections.views, "") | {"refusal": error.message}
+    run = run_of(CALIBRATE, words, options, seen.board, ()) | {
+        "refusal": error.message,
+        "lines": list(seen.lines),
+    }
     images = [view.image for view in seen.detections.views if view.found]
     photos = photographs(images, seen.detections.views, options.reading, seen.files)
-    files.write_text(path, refusal_text(seen, options, error, run, photos))
+    files.write_text(path, refusal_text(seen, options.name, error, run, photos))
 
 
 def refusal_text(
-    seen: BoardViews, options: CalibrateOptions, error: CamcalError, run: Mapping[str, Any], photos: Mapping[str, str]
+    seen: BoardViews, name: str, error: CamcalError, run: Mapping[str, Any], photos: Mapping[str, str]
 ) -> str:
     """Return the report on detections that no calibration can be made from as HTML."""
     views = seen.detections.views
     failure = next(iter(error.failures), Message(error.kind, error.message))
-    images = [{"file": view.image, "sha256": view.sha256} if view.sha256 else {"file": view.image} for view in views]
-    origin = provenance.build(command_line(CALIBRATE, options), seen.board, images)
+    origin = provenance.build(run["words"], seen.board, [{"file": view.image} for view in views])
     page = refused_page(
-        f"Calibration of {options.name}",
+        f"Calibration of {name}",
         seen.board,
         views,
         failure,

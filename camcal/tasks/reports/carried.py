@@ -1,7 +1,7 @@
 """What a report carries to be run again: the options as settings, and what cannot be found out from detections."""
 
 import base64
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,7 @@ from camcal.parsing import did_you_mean
 from camcal.report.page.record import DataBlock
 from camcal.run.paths import split_address
 from camcal.targets.board import Board
-from camcal.targets.detection import BoardDetection, Detections
+from camcal.targets.detection import Detections
 from camcal.tasks.calibration.corner_refinement import RefinementSummary
 from camcal.tasks.reports.environment import environment
 
@@ -34,13 +34,25 @@ def blocks(run: Mapping[str, Any], found: Detections) -> tuple[DataBlock, ...]:
     )
 
 
-def run_of(command: str, options: Any, board: Board, views: Sequence[BoardDetection], result: str) -> dict[str, Any]:
-    """Return what every report carries; result: the text of the camera file, "" without one."""
-    hashes = {hash_key(view): view.sha256 for view in views if view.sha256}
+def run_of(
+    command: str,
+    words: Sequence[str],
+    options: Any,
+    board: Board,
+    images: Iterable[Mapping[str, Any]],
+    result: str = "",
+) -> dict[str, Any]:
+    """Return what every report carries.
+
+    words: the command line that is recorded. images: as the provenance lists them. result: the text of the camera file,
+    "" without one.
+    """
+    hashes = {hash_key(image.get("camera"), image["file"]): image["sha256"] for image in images if "sha256" in image}
     return {
         "format": FORMAT,
         "version": VERSION,
         "command": command,
+        "words": list(words),
         "options": settings_of(options),
         "board": boards.block(board),
         "guess": _guess_files(options),
@@ -50,16 +62,18 @@ def run_of(command: str, options: Any, board: Board, views: Sequence[BoardDetect
     }
 
 
-def hash_key(view: BoardDetection) -> str:
-    """Return the key under which the hash of a view's image is carried."""
-    return f"{view.camera}/{view.image}" if view.camera else view.image
+def hash_key(camera: str | None, image: str) -> str:
+    """Return the key under which the hash of an image is carried; camera: of a rig, None where there is only one."""
+    return image if camera is None else f"{camera}/{image}"
 
 
 def settings_of(options: Any) -> dict[str, Any]:
     """Return the recorded options that differ from their defaults as settings files have them, arguments too."""
     given = ((each, each.of(options)) for each in declared(type(options)) if each.option.recorded)
     return {
-        _key(each): each.setting(value) for each, value in given if value is not None and value != each.default and value != ()
+        _key(each): each.setting(value)
+        for each, value in given
+        if value is not None and value != each.default and value != ()
     }
 
 
@@ -145,7 +159,10 @@ def messages_of(data: Sequence[Mapping[str, Any]]) -> tuple[Message, ...]:
         Message(
             each["code"],
             each["text"],
-            {name: tuple(value) if isinstance(value, list) else value for name, value in each.get("values", {}).items()},
+            {
+                name: tuple(value) if isinstance(value, list) else value
+                for name, value in each.get("values", {}).items()
+            },
             each.get("where"),
         )
         for each in data
@@ -154,7 +171,10 @@ def messages_of(data: Sequence[Mapping[str, Any]]) -> tuple[Message, ...]:
 
 def candidates_data(candidates: Candidates) -> list[dict[str, Any]]:
     """Return lens models that were compared as plain data, by the cameras they were compared for."""
-    return [{"cameras": list(names), "models": [_candidate_data(own) for own in models]} for names, models in candidates.items()]
+    return [
+        {"cameras": list(names), "models": [_candidate_data(own) for own in models]}
+        for names, models in candidates.items()
+    ]
 
 
 def _candidate_data(own: CandidateModel) -> dict[str, Any]:

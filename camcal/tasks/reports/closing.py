@@ -26,6 +26,12 @@ def result_text(file: CameraFile, name: str) -> str:
         return files.read_text(path)
 
 
+def images_of(file: CameraFile) -> list[dict[str, Any]]:
+    """Return the images that a calibration lists in its provenance."""
+    images = file.provenance.get("images")
+    return images if isinstance(images, list) else []
+
+
 def closing_sections(
     provenance: Mapping[str, Any], environment: Mapping[str, str], lines: Sequence[str]
 ) -> tuple[Section, ...]:

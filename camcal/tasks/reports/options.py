@@ -1,25 +1,11 @@
-"""The options of `camcal report` and `camcal rerun`, and the option of the commands that write a report."""
+"""The options of `camcal report` and `camcal rerun`."""
 
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from camcal.options import INPUT, LENS, OUTPUT, SIZE, Argument, Option, OptionsRecord, Written
-from camcal.tasks.options import FOLDER, BoardText, Overwrite, lens_models, output_option
-
-PAGE = Written((".html",))
-
-Page = Annotated[
-    Path | None,
-    Option(
-        "Also write a report: one HTML file with verdict, figures and data, see 'camcal report'.",
-        metavar="FILE",
-        group=OUTPUT,
-        names="--report",
-        recorded=False,
-        written=PAGE,
-    ),
-]
+from camcal.options import INPUT, LENS, SIZE, Argument, Option, OptionsRecord
+from camcal.tasks.options import FOLDER, PAGE, BoardText, Overwrite, lens_models, output_option
 
 
 @dataclass(frozen=True)

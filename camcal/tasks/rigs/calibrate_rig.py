@@ -131,10 +131,17 @@ def calibrated(
         detections.write(settings.save_detections, seen.detections())
     shape = ShapeOptions(smooth=not settings.flat_board, offsets=settings.free_corners)
     progress.start("choosing lens models", None)
-    models = rig_models(seen.captures, seen.board, settings, given, shape)
-    progress.finish()
-    how = _solver_options(settings, given, shape, models.models)
-    calibration = _solved(seen, how, progress, "solving")
+    try:
+        models = rig_models(seen.captures, seen.board, settings, given, shape)
+        progress.finish()
+        how = _solver_options(settings, given, shape, models.models)
+        calibration = _solved(seen, how, progress, "solving")
+    except (InsufficientData, NotConverged) as error:
+        if settings.report is not None:
+            from camcal.tasks.reports.rig_page import write_refusal
+
+            write_refusal(settings.report, seen, settings, command, error)
+        raise
     better = without_fold(models, calibration.calibrations, circles, seen.captures, shape)
     if better is not None:
         models, how = better, _solver_options(settings, given, shape, better.models)
@@ -160,7 +167,7 @@ def calibrated(
     of_cameras = (each.at(name) for name, result in results.items() for each in result.assessment.warnings)
     found += (*calibration.warnings, *of_cameras)
     warn_of(found, progress)
-    return RigReport(
+    report = RigReport(
         calibration,
         results,
         views=seen,
@@ -171,6 +178,11 @@ def calibrated(
         candidates=models.candidates,
         figures=figures,
     )
+    if settings.report is not None:
+        from camcal.tasks.reports.rig_page import write
+
+        write(settings.report, report, settings, command)
+    return report
 
 
 def require_good(report: RigReport, settings: RigSettings) -> None:

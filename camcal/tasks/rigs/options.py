@@ -40,6 +40,7 @@ from camcal.tasks.options import (
     Jobs,
     Overwrite,
     Recursive,
+    ReportFile,
     lens_models,
     result_option,
 )
@@ -120,6 +121,7 @@ class RigSettings(OptionsRecord):
     flat_board: FlatBoard = False
     free_corners: FreeCorners = True
     max_rejected: MaxRejected = 0.1
+    report: ReportFile = None
     image_size: ImageSize = None
     recursive: Recursive = False
     jobs: Jobs = None

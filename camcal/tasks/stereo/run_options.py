@@ -25,6 +25,7 @@ _CALIBRATION = (
     "guess",
     "free_corners",
     "max_rejected",
+    "report",
     "image_size",
     "recursive",
     "jobs",

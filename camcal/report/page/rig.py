@@ -1,0 +1,167 @@
+"""The sections of a report on the calibration of a rig."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from camcal.calibrate.jackknife import CandidateModel
+from camcal.calibrate.rigs.record import RigCalibration
+from camcal.messages import Message, counted
+from camcal.quality.rig_geometry import PairGeometry
+from camcal.report.calibration import CANDIDATE_COLUMNS, candidate_rows
+from camcal.report.page.calibration import CalibratedCamera, camera_sections, camera_verdict
+from camcal.report.page.record import BAD, Figure, Section, Table, Verdict
+from camcal.report.page.verdict import verdict
+from camcal.report.rig import (
+    CAMERA_COLUMNS,
+    PAIR_COLUMNS,
+    TRANSFORM_COLUMNS,
+    camera_rows,
+    lines,
+    pair_rows,
+    transform_rows,
+)
+from camcal.report.table import Column
+from camcal.report.uncertain import value_and_std
+
+_AXES = ("tx", "ty", "tz", "rx", "ry", "rz")
+_UNITS = ("mm", "mm", "mm", "deg", "deg", "deg")
+_LISTED = 20  # captures in a table that is not folded
+_COMMON = ("board", "models")  # sections that cameras have in common
+
+
+@dataclass(frozen=True, eq=False)
+class CalibratedRig:
+    """What a report shows of a rig. pairs: what pairs of its cameras make. candidates: by the cameras of a kind."""
+
+    calibration: RigCalibration
+    cameras: Sequence[CalibratedCamera]
+    pairs: Sequence[PairGeometry] = ()
+    candidates: Mapping[tuple[str, ...], Sequence[CandidateModel]] | None = None
+    failures: Sequence[Message] = ()
+    warnings: Sequence[Message] = ()
+
+
+def rig_verdict(rig: CalibratedRig) -> Verdict:
+    """Return the verdict on a rig in words."""
+    found = rig.calibration
+    error = found.epipolar_rms_px
+    words = f"Epipolar errors of the captures are {error:.3g} px RMS." if error is not None else ""
+    own = verdict(rig.failures, rig.warnings, words)
+    return replace(own, headline=own.headline.replace("calibration", "rig")) if own.state == BAD else own
+
+
+def rig_figures(rig: CalibratedRig) -> Iterator[Figure]:
+    """Yield the figures that are read first."""
+    found = rig.calibration
+    for name, length, std, *_ in transform_rows(found):
+        spread = f" ± {std}" if std else ""
+        yield Figure(f"Baseline {name}", f"{length}{spread} mm", "± 1 standard deviation")
+    if found.epipolar_rms_px is not None:
+        yield Figure("Epipolar error (RMS)", f"{found.epipolar_rms_px:.3g} px", "at corners that two cameras saw")
+    shared = found.epipolar_by_capture
+    pairs = 0 if shared is None else int(np.isfinite(shared).sum())
+    yield Figure("Captures used", f"{len(found.captures)}", f"{pairs} seen by two cameras or more")
+    worst = max(found.calibrations.values(), key=lambda own: own.rms_px)
+    yield Figure(
+        "Largest reprojection error (RMS)", f"{worst.rms_px:.3g} px", f"of {counted(len(found.calibrations), 'camera')}"
+    )
+
+
+def rig_sections(rig: CalibratedRig) -> Iterator[Section]:
+    """Yield the sections on a rig: its cameras, transforms and captures; then those of every camera."""
+    found = rig.calibration
+    rows = [
+        [camera.name, camera_verdict(camera, camera.assessment.warnings).headline, _first(camera.assessment.failures)]
+        for camera in rig.cameras
+    ]
+    tables = [
+        Table("Verdicts of the cameras by themselves", ("camera", "verdict", "first failure"), rows),
+        _table("Lenses", CAMERA_COLUMNS, camera_rows(found)),
+    ]
+    yield Section("cameras", "Cameras", tables=tables)
+    tables = [
+        _table("Transforms to the first camera, ± 1 standard deviation", TRANSFORM_COLUMNS, transform_rows(found)),
+        _steps(found),
+    ]
+    if rig.pairs:
+        tables.append(_table("Pairs (vergence: + converging)", PAIR_COLUMNS, pair_rows(rig.pairs)))
+    yield Section("transforms", "Transforms and baselines", [f"{line}." for line in lines(found)], tables=tables)
+    yield _captures(found)
+    if rig.candidates:
+        heads = [column.head for column in CANDIDATE_COLUMNS]
+        tables = [
+            Table(
+                f"Lens models of {', '.join(names)} by how well they predict left-out views",
+                heads,
+                candidate_rows(models),
+                (False, True, True, False),
+            )
+            for names, models in rig.candidates.items()
+        ]
+        yield Section("models", "Choice of the lens models", tables=tables)
+    for place, camera in enumerate(rig.cameras):
+        for section in camera_sections(camera, camera.assessment.messages):
+            kind = section.name.removeprefix(camera.prefix)
+            if kind == "board" and place == 0:
+                yield replace(section, name=kind)
+            elif kind not in _COMMON:
+                yield replace(section, title=f"{camera.name}: {section.title[:1].lower()}{section.title[1:]}")
+
+
+def _first(failures: Sequence[Message]) -> str:
+    return failures[0].text if failures else ""
+
+
+def _captures(found: RigCalibration) -> Section:
+    """Return the section on the epipolar errors of captures and on motion between exposures."""
+    errors = found.epipolar_by_capture
+    order = [] if errors is None else np.argsort(-np.nan_to_num(errors, nan=-1.0), kind="stable").tolist()
+    rows = [
+        [found.captures[index], "" if np.isnan(errors[index]) else f"{errors[index]:.3g}"]
+        for index in order
+        if errors is not None
+    ]
+    table = Table(
+        "Epipolar error by capture, the largest first",
+        ("capture", "RMS, px"),
+        rows,
+        (False, True),
+        folded=len(rows) > _LISTED,
+    )
+    motion = found.motion
+    if motion is None:
+        words = "No motion of the board between the exposures of a capture was found or looked for."
+    else:
+        words = (
+            f"Between the exposures of a capture the board moved {1e3 * motion.median:.2g} mm (median), at most "
+            f"{1e3 * motion.largest:.2g} mm; the estimate takes it into account."
+        )
+    return Section("captures", "Captures", [words], tables=[table] if rows else [])
+
+
+def _steps(found: RigCalibration) -> Table:
+    """Return the table of the parts of all transforms with their standard deviations: mm and degrees."""
+    rows = []
+    for name, pose in found.poses.items():
+        if name != found.first:
+            std = np.sqrt(np.diag(found.pose_covariance(name)))
+            values = [*(1e3 * pose.translation), *np.degrees(pose.vector())]
+            stds = [*(1e3 * std[:3]), *np.degrees(std[3:])]
+            rows += [
+                [f"{found.transform_name(name)}, {axis}", *value_and_std(value, spread), unit]
+                for axis, value, spread, unit in zip(_AXES, values, stds, _UNITS, strict=True)
+            ]
+    return Table(
+        "Translation and rotation vector",
+        ("part", "value", "± std", "unit"),
+        rows,
+        (False, True, True, False),
+        folded=True,
+    )
+
+
+def _table(caption: str, columns: Sequence[Column], rows: Sequence[Sequence[object]]) -> Table:
+    cells = [[str(cell) for cell in row] for row in rows]
+    return Table(caption, [column.head for column in columns], cells, [False] + [True] * (len(columns) - 1))

@@ -1,0 +1,145 @@
+"""The report page of a camera or rig file alone: what it holds, and how to get the rest."""
+
+from collections.abc import Iterator, Mapping, Sequence
+
+from camcal.errors import InvalidInput
+from camcal.formats.camera_file import CameraEntry, CameraFile
+from camcal.messages import counted
+from camcal.quality.projection_uncertainty import projection_uncertainty
+from camcal.report.figures.board import board_height, board_shape
+from camcal.report.figures.figure import Plot
+from camcal.report.figures.image_plane import projection_uncertainty as uncertainty_plot
+from camcal.report.page.calibration import board_section
+from camcal.report.page.origin import origin_section, repeat_section
+from camcal.report.page.pictures import pictures
+from camcal.report.page.record import BAD, GOOD, UNKNOWN, Figure, Finding, Page, Section, Table, Verdict
+from camcal.report.page.render import rendered
+from camcal.report.page.verdict import findings, reasons
+from camcal.report.rig import DEPTH_COLUMNS, PAIR_COLUMNS, depth_rows, pair_rows
+from camcal.report.table import Column
+from camcal.report.uncertain import value_with_std
+from camcal.tasks.calibration.inspect import Inspection, camera_lines, file_lines, image_rows, parameter_rows
+from camcal.tasks.reports.closing import made
+from camcal.tasks.reports.environment import environment
+
+_LISTED = 20
+_REST = (
+    "Residuals, coverage, poses and images are not in this file. They need the detections: camcal report DETECTIONS, or "
+    "--report with camcal calibrate and camcal rig."
+)
+
+
+def file_page(inspection: Inspection) -> str:
+    """Return the report of a camera file as HTML."""
+    file = inspection.file
+    names = ", ".join(file.cameras)
+    own = file.provenance
+    origin = origin_section(
+        own, {**_versions(own), **{f"report: {key}": value for key, value in environment().items()}}, []
+    )
+    page = Page(
+        f"Camera {names}" if len(file.cameras) == 1 else f"Cameras {names}",
+        f"{counted(len(file.cameras), 'camera')} of a file",
+        _verdict(file),
+        (*_reasons(file), *findings((), file.warnings)),
+        figures=tuple(_figures(file)),
+        sections=(
+            *(_camera(name, entry, inspection) for name, entry in file.cameras.items()),
+            *_rig(inspection),
+            *_board(file),
+            *_images(file),
+            origin,
+            repeat_section(str(own.get("command", "not recorded")), again=False),
+        ),
+        made=made(),
+    )
+    return rendered(page)
+
+
+def _verdict(file: CameraFile) -> Verdict:
+    verdicts = [entry.verdict for entry in file.cameras.values()]
+    if any(each is not None and not each.trustworthy for each in verdicts):
+        return Verdict(BAD, "Do not trust this calibration", "The file says so, for the reasons below.", _REST)
+    if verdicts and all(each is not None for each in verdicts):
+        return Verdict(GOOD, "Trustworthy", "The file says so: all checks passed when it was written.", _REST)
+    return Verdict(UNKNOWN, "Unknown", "The file does not say whether the calibration may be trusted.", _REST)
+
+
+def _reasons(file: CameraFile) -> tuple[Finding, ...]:
+    return tuple(
+        finding
+        for name, entry in file.cameras.items()
+        if entry.verdict is not None
+        for finding in reasons(entry.verdict.reasons, name if len(file.cameras) > 1 else "")
+    )
+
+
+def _versions(provenance: Mapping[str, object]) -> dict[str, str]:
+    """Return the versions that a file was made with."""
+    made_by = {"tool": f"{provenance.get('tool', 'unknown')} {provenance.get('tool_version', '')}".strip()}
+    found = provenance.get("libraries")
+    return made_by | ({str(key): str(value) for key, value in found.items()} if isinstance(found, Mapping) else {})
+
+
+def _figures(file: CameraFile) -> Iterator[Figure]:
+    for name, entry in file.cameras.items():
+        camera, of = entry.camera, f"{name}: " if len(file.cameras) > 1 else ""
+        focal = " / ".join(value_with_std(camera.value(each), camera.std(each)) for each in ("fx", "fy"))
+        yield Figure(f"{of}focal length fx / fy".capitalize() if not of else f"{of}focal length fx / fy", f"{focal} px")
+        if "rms_px" in entry.quality:
+            used = f"{entry.quality['images_used']:.0f} images" if "images_used" in entry.quality else ""
+            yield Figure(f"{of}RMS", f"{entry.quality['rms_px']:.3g} px", used)
+        width, height = camera.image_size
+        yield Figure(f"{of}lens model" if of else "Lens model", camera.model.name, f"{width} x {height} px")
+
+
+def _camera(name: str, entry: CameraEntry, inspection: Inspection) -> Section:
+    """Return the section on one camera: parameters, field of view, projection uncertainty."""
+    lines = [f"{line[:1].upper()}{line[1:]}." for line in camera_lines(entry, inspection.fields[name])]
+    heads, numeric = ("parameter", "value", "± std"), (False, True, True)
+    table = Table(f"Lens parameters of {name}", heads, parameter_rows(entry.camera), numeric)
+    found = pictures([*_uncertainty(entry)], f"{name}-")
+    return Section(f"camera-{name}", f"Camera {name}", lines, pictures=list(found.values()), tables=[table])
+
+
+def _uncertainty(entry: CameraEntry) -> Iterator[Plot]:
+    try:
+        found = projection_uncertainty(entry.camera, circle=entry.image_circle)
+    except InvalidInput:  # no covariance is known
+        return
+    yield uncertainty_plot(found, entry.camera.image_size, entry.image_circle)
+
+
+def _rig(inspection: Inspection) -> Iterator[Section]:
+    lines = [f"{line}." for line in file_lines(inspection.file) if "_T_" in line.partition(":")[0]]
+    rig = inspection.rig
+    if rig is None:
+        if lines:
+            yield Section("transforms", "Transforms", lines)
+        return
+    error = rig.measured.get("epipolar_rms_px")
+    lines += [f"Epipolar error of the calibration images {error:.3g} px RMS."] if isinstance(error, float) else []
+    tables = [_table("Pairs of cameras (vergence: + converging)", PAIR_COLUMNS, pair_rows(rig.pairs))]
+    for pair in rig.pairs:
+        if rows := depth_rows(pair):
+            tables.append(_table(f"Depth error of {pair.first}, {pair.second} (1 sigma)", DEPTH_COLUMNS, rows))
+    yield Section("transforms", "Transforms and baselines", lines, tables=tables)
+
+
+def _table(caption: str, columns: Sequence[Column], rows: Sequence[Sequence[object]]) -> Table:
+    cells = [[str(cell) for cell in row] for row in rows]
+    return Table(caption, [column.head for column in columns], cells, [False] + [True] * (len(columns) - 1))
+
+
+def _board(file: CameraFile) -> Iterator[Section]:
+    if file.board_shape is not None:
+        plots = [board_shape(file.board_shape), board_height(file.board_shape)]
+        found = pictures([plot for plot in plots if plot is not None])
+        yield board_section(file.board_shape, list(found.values()))
+
+
+def _images(file: CameraFile) -> Iterator[Section]:
+    if rows := image_rows(file):
+        heads = ("image", "points", "RMS, px", "not used because")
+        table = Table("Images of the calibration", heads, rows, (False, True, True, False), folded=len(rows) > _LISTED)
+        yield Section("images", "Images", tables=[table])

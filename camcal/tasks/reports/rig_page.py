@@ -1,0 +1,161 @@
+"""The report page of the calibration of a rig, and of captures that no calibration can be made from."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from camcal import files
+from camcal.errors import CamcalError
+from camcal.formats import provenance
+from camcal.formats.page_data import RIG
+from camcal.messages import Message, counted
+from camcal.report.page.calibration import CalibratedCamera
+from camcal.report.page.record import Page
+from camcal.report.page.refused import refused_page
+from camcal.report.page.render import rendered
+from camcal.report.page.rig import CalibratedRig, rig_figures, rig_sections, rig_verdict
+from camcal.report.page.thumbnails import views_of, worst_first
+from camcal.report.page.verdict import findings
+from camcal.tasks.reports.carried import blocks, candidates_data, messages_data, run_of
+from camcal.tasks.reports.closing import closing_sections, images_of, made, result_text
+from camcal.tasks.reports.photographs import photographs
+from camcal.tasks.rigs.calibrate_rig import RigReport
+from camcal.tasks.rigs.inspect_rig import inspect_rig
+from camcal.tasks.rigs.options import RigSettings
+from camcal.tasks.rigs.rig_views import RigViews
+
+RIG_NAME = "rig.yaml"  # of the file that a rerun writes
+_MOST = 24  # thumbnails of all cameras
+_LEAST = 3  # of each
+
+
+def write(path: Path, report: RigReport, settings: RigSettings, command: Sequence[str]) -> None:
+    """Write the report of a calibration; command: the words that the rig file records. Raises FileError."""
+    seen = report.views
+    photos: dict[str, str] = {}
+    for name, own in report.calibration.calibrations.items():
+        chosen = [each.view.image for each in worst_first(views_of(own))]
+        views = [replace(view, camera=name) for view in seen.of(name)]
+        photos |= photographs(chosen, views, settings.reading, seen.files, _most(report))
+    run = _run(report, settings, command)
+    files.write_text(path, page_text(report, run, photos))
+
+
+def _most(report: RigReport) -> int:
+    """Return how many thumbnails a camera has."""
+    return max(_MOST // len(report.calibration.calibrations), _LEAST)
+
+
+def _run(report: RigReport, settings: RigSettings, command: Sequence[str]) -> dict[str, Any]:
+    """Return what the page carries; what images said beside detections is recorded, the rest is found again."""
+    seen = report.views
+    text = result_text(report.file, RIG_NAME)
+    run = run_of(RIG, command, settings, seen.board, images_of(report.file), text)
+    run |= {"warnings": messages_data(report.warnings), "lines": list(report.lines), "failed": list(report.failed)}
+    run["captures"] = captures_data(seen)
+    if not seen.table:
+        own = report.calibration.calibrations.items()
+        run["models"] = {name: each.camera.model.name for name, each in own}
+        run["candidates"] = candidates_data(report.candidates or {})
+    if report.refinement is not None:
+        run["refinement"] = vars(report.refinement)
+    return run
+
+
+def captures_data(seen: RigViews) -> dict[str, Any]:
+    """Return which images make a capture as plain data."""
+    captures, matched = seen.captures, seen.matched
+    images = [[view.image if view is not None else "" for view in row] for row in captures.views]
+    largest = {} if matched.largest is None else {"largest_s": float(matched.largest)}
+    return {
+        "cameras": list(captures.cameras),
+        "names": list(captures.names),
+        "images": images,
+        "matched_by": matched.by,
+        "unmatched": list(matched.unmatched),
+    } | largest
+
+
+def _named(seen: RigViews) -> RigViews:
+    """Return the same views with the names of their cameras."""
+    return seen.with_views(
+        {name: [replace(view, camera=name) for view in seen.of(name)] for name in seen.captures.cameras}
+    )
+
+
+def page_text(report: RigReport, run: Mapping[str, Any], photos: Mapping[str, str]) -> str:
+    """Return the report of a calibration as HTML."""
+    inspection = inspect_rig(report.file, RIG_NAME)
+    rig = CalibratedRig(
+        report.calibration,
+        [_camera(report, name, photos) for name in report.calibration.calibrations],
+        pairs=() if inspection is None else inspection.pairs,
+        candidates=report.candidates,
+        failures=report.failures,
+        warnings=report.warnings,
+    )
+    names = list(report.calibration.calibrations)
+    captures = counted(len(report.calibration.captures), "capture")
+    closing = closing_sections(report.file.provenance, run["environment"], report.lines)
+    page = Page(
+        f"Calibration of the rig {', '.join(names)}",
+        f"{counted(len(names), 'camera')}, {captures} of a {report.views.board.words}",
+        rig_verdict(rig),
+        findings(report.failures, report.warnings),
+        figures=tuple(rig_figures(rig)),
+        sections=(*rig_sections(rig), *closing),
+        made=made(),
+        blocks=blocks(run, _named(report.views).detections()),
+    )
+    return rendered(page)
+
+
+def _camera(report: RigReport, name: str, photos: Mapping[str, str]) -> CalibratedCamera:
+    own = report.cameras[name]
+    return CalibratedCamera(
+        report.calibration.calibrations[name],
+        own.uncertainty,
+        own.assessment,
+        own.circle,
+        photos=photos,
+        name=name,
+        most=_most(report),
+    )
+
+
+def write_refusal(
+    path: Path, seen: RigViews, settings: RigSettings, command: Sequence[str], error: CamcalError
+) -> None:
+    """Write the report on captures that no calibration can be made from; raises FileError."""
+    found = _named(seen).detections()
+    run = run_of(RIG, command, settings, seen.board, ()) | {
+        "refusal": error.message,
+        "captures": captures_data(seen),
+        "lines": list(seen.lines),
+    }
+    photos: dict[str, str] = {}
+    for name in seen.captures.cameras:
+        views = [view for view in found.views if view.camera == name]
+        images = [view.image for view in views if view.found]
+        photos |= photographs(images, views, settings.reading, seen.files)
+    files.write_text(path, refusal_text(seen, error, run, photos))
+
+
+def refusal_text(seen: RigViews, error: CamcalError, run: Mapping[str, Any], photos: Mapping[str, str]) -> str:
+    """Return the report on captures that no calibration can be made from as HTML."""
+    found = _named(seen).detections()
+    failure = next(iter(error.failures), Message(error.kind, error.message))
+    images = [{"file": view.image, "camera": view.camera} for view in found.views]
+    origin = provenance.build(run["words"], seen.board, images)
+    page = refused_page(
+        f"Calibration of the rig {', '.join(seen.captures.cameras)}",
+        seen.board,
+        found.views,
+        failure,
+        made(),
+        closing_sections(origin, run["environment"], seen.lines),
+        blocks(run, found),
+        photos,
+    )
+    return rendered(page)
