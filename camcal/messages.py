@@ -84,6 +84,7 @@ CODES: Mapping[str, Mapping[str, str]] = {
         "lens_model_failed": "calibration with the best predicting lens model failed",
         "refinement_failed": "calibration with corners refined by the calibrated lens failed",
         "projection_uncertainty": "the projection uncertainty exceeds --max-uncertainty",
+        "rerun_differs": "a calibration from a report differs from the one in it",
     },
     "Rigs": {
         "camera_without_board": "no image of a camera of a rig shows the board",

@@ -62,6 +62,22 @@ _CALLS = {  # a comment with the purpose above each call, as in a shell
         # Three cameras from synchronised videos
         rig a=a.mp4 b=b.mp4 c=c.mp4 --board target.yaml -o rig.yaml
     """,
+    "report": """
+        # From detections: the verdict, all figures, and the data to repeat them
+        report detections.csv -o report.html
+        # What a camera file holds
+        report camera.yaml -o report.html
+        # With a report in one go: calibrate images and write both files
+        calibrate photos/ --board target.yaml -o camera.yaml --report report.html
+    """,
+    "rerun": """
+        # Calibrate again from a report: camera.yaml and report.html in a folder
+        rerun report.html -o repeated
+        # The same as JSON, for scripts
+        rerun report.html -o repeated --json
+        # List all figures that differ
+        rerun report.html -o repeated --verbose
+    """,
     "undistort": """
         # All images of a folder without distortion
         undistort camera.yaml photos/ -o undistorted

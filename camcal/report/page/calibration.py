@@ -1,5 +1,6 @@
 """The sections of a report on the calibration of a camera."""
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import degrees, isfinite
@@ -22,6 +23,7 @@ from camcal.report.uncertain import held_by_prior_words, number_text, projection
 from camcal.targets.surface import RATIOS, Surface
 
 _LISTED = 20  # images in a table that is not folded
+_NOT_IN_IDS = re.compile(r"[^A-Za-z0-9]+")
 _STRONG = 0.9  # correlations that are listed
 
 
@@ -44,7 +46,7 @@ class CalibratedCamera:
     @property
     def prefix(self) -> str:
         """What begins the ids of its elements in the page."""
-        return f"{self.name}-" if self.name else ""
+        return f"{_NOT_IN_IDS.sub('-', self.name)}-" if self.name else ""
 
 
 def camera_verdict(camera: CalibratedCamera, warnings: Sequence[Message]) -> Verdict:
@@ -127,13 +129,8 @@ def camera_sections(camera: CalibratedCamera, warnings: Sequence[Message] = ()) 
     yield images_section(camera)
     yield _parameters(calibration, taken("correlations"), prefix)
     if camera.candidates:
-        heads = [column.head for column in CANDIDATE_COLUMNS]
-        table = Table(
-            "Lens models by how well they predict left-out views",
-            heads,
-            candidate_rows(camera.candidates),
-            (False, True, True, False),
-        )
+        caption = "Lens models by how well they predict left-out views"
+        table = Table.under(caption, CANDIDATE_COLUMNS, candidate_rows(camera.candidates))
         yield Section(f"{prefix}models", "Choice of the lens model", pictures=taken("lens_models"), tables=[table])
     yield Section(f"{prefix}checks", "Checks", _checked(warnings), tables=[checks_table(warnings)])
     if found:
@@ -156,9 +153,7 @@ def board_section(surface: Surface, shown: Sequence[Picture], prefix: str = "") 
     ):
         scale, what = (100.0, "%") if term in RATIOS else (factor, unit)
         rows.append([term, *value_and_std(scale * value, scale * std), what])
-    table = Table(
-        "Terms of the board's shape", ("term", "value", "± std", "unit"), rows, (False, True, True, False), folded=True
-    )
+    table = Table.of("Terms of the board's shape", ("term", "value", "± std", "unit"), rows, folded=True)
     if surface.offsets is not None:
         largest = factor * float(np.abs(surface.offsets).max())
         lines.append(f"Per-corner offsets were estimated; the largest is {largest:.2g} {unit}.")
@@ -188,11 +183,10 @@ def images_section(camera: CalibratedCamera) -> Section:
         ]
         for view in calibration.views
     ]
-    table = Table(
+    table = Table.of(
         "All images" if not camera.name else f"All images of {camera.name}",
         ("image", "used", "corners", "RMS, px", "not used because"),
         rows,
-        (False, False, True, True, False),
         folded=len(rows) > _LISTED,
     )
     return Section(f"{camera.prefix}images", "Images", [words], tables=[table], thumbnails=shown)
@@ -201,7 +195,7 @@ def images_section(camera: CalibratedCamera) -> Section:
 def _parameters(calibration: Calibration, shown: Sequence[Picture], prefix: str) -> Section:
     camera = calibration.camera
     rows = [[name, value, std, _unit(name)] for name, value, std in parameter_rows(calibration)]
-    tables = [Table("Lens parameters", ("parameter", "value", "± std", "unit"), rows, (False, True, True, False))]
+    tables = [Table.of("Lens parameters", ("parameter", "value", "± std", "unit"), rows)]
     names = [name for name in camera.model.parameter_names if camera.std(name)]
     if camera.covariance is not None and len(names) > 1:
         tables.append(_strongest(calibration, names))
@@ -221,7 +215,7 @@ def _strongest(calibration: Calibration, names: Sequence[str]) -> Table:
     strong = sorted((pair for pair in pairs if abs(pair[0]) > _STRONG), key=lambda pair: -abs(pair[0]))
     rows = [[f"{one}, {other}", f"{share:+.3f}"] for share, one, other in strong]
     caption = f"Correlations beyond ± {_STRONG:g}" if rows else f"No correlation is beyond ± {_STRONG:g}"
-    return Table(caption, ("parameters", "correlation"), rows, (False, True), folded=True)
+    return Table.of(caption, ("parameters", "correlation"), rows, folded=True)
 
 
 def _unit(name: str) -> str:

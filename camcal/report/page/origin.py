@@ -14,11 +14,11 @@ def origin_section(provenance: Mapping[str, Any], environment: Mapping[str, str]
     rows += [["created", str(provenance["created"])]] if "created" in provenance else []
     rows += [[name, version] for name, version in environment.items()]
     rows += [[f"board {name}", _words(value)] for name, value in dict(provenance.get("board", {})).items()]
-    tables = [Table("Program, machine and board", ("what", "value"), rows)]
+    tables = [Table.of("Program, machine and board", ("what", "value"), rows)]
     images = [_image_row(image) for image in provenance.get("images", []) if isinstance(image, Mapping)]
     if images:
         heads = ("file", "SHA-256")
-        tables.append(Table("Inputs", heads, images, folded=len(images) > _LISTED))
+        tables.append(Table.of("Inputs", heads, images, folded=len(images) > _LISTED))
     return Section("provenance", "Provenance", list(lines), tables=tables)
 
 

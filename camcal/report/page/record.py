@@ -1,10 +1,15 @@
 """What a report page shows: plain records of words, tables, pictures and blocks of data, in their order."""
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from camcal.report.table import Column
+
 GOOD, WEAK, BAD, REFUSED, UNKNOWN = "good", "weak", "bad", "refused", "unknown"
 FAILURE, WARNING = "failure", "warning"
+
+_NUMBER = re.compile(r"[+-]?[\d.]+(e[+-]?\d+)?( / \d+)?")
 
 
 @dataclass(frozen=True)
@@ -56,13 +61,32 @@ class Picture:
 
 @dataclass(frozen=True)
 class Table:
-    """A table; its rows begin with their head. numeric: which columns hold numbers."""
+    """A table; its rows begin with their head. numeric: which columns hold numbers. folded: opened by the reader."""
 
     caption: str
     heads: Sequence[str]
     rows: Sequence[Sequence[str]]
-    numeric: Sequence[bool] = ()
+    numeric: Sequence[bool]
     folded: bool = False
+
+    @classmethod
+    def of(
+        cls, caption: str, heads: Sequence[str], rows: Sequence[Sequence[object]], *, folded: bool = False
+    ) -> "Table":
+        """Return a table of cells; those of None are empty."""
+        cells = [["" if cell is None else str(cell) for cell in row] for row in rows]
+        return cls(caption, heads, cells, [_holds_numbers(column) for column in zip(*cells, strict=True)], folded)
+
+    @classmethod
+    def under(cls, caption: str, columns: Sequence[Column], rows: Sequence[Sequence[object]]) -> "Table":
+        """Return a table of cells under the heads that a terminal shows."""
+        return cls.of(caption, [column.head for column in columns], rows)
+
+
+def _holds_numbers(cells: Sequence[str]) -> bool:
+    """Return whether most cells of a column that hold anything hold a number."""
+    filled = [cell for cell in cells if cell]
+    return 2 * sum(_NUMBER.fullmatch(cell) is not None for cell in filled) > len(filled)
 
 
 @dataclass(frozen=True)

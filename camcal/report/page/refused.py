@@ -60,4 +60,4 @@ def _thumbnails(views: Sequence[BoardDetection], photos: Mapping[str, str]) -> l
 def _table(views: Sequence[BoardDetection]) -> Table:
     rows = [[photo_key(view.camera, view.image), f"{len(view.ids)}", view.reason or ""] for view in views]
     heads = ("image", "corners", "no corners because")
-    return Table("All images", heads, rows, (False, True, False), folded=len(rows) > _LISTED)
+    return Table.of("All images", heads, rows, folded=len(rows) > _LISTED)

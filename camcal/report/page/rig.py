@@ -22,7 +22,6 @@ from camcal.report.rig import (
     pair_rows,
     transform_rows,
 )
-from camcal.report.table import Column
 from camcal.report.uncertain import value_and_std
 
 _AXES = ("tx", "ty", "tz", "rx", "ry", "rz")
@@ -77,26 +76,25 @@ def rig_sections(rig: CalibratedRig) -> Iterator[Section]:
         for camera in rig.cameras
     ]
     tables = [
-        Table("Verdicts of the cameras by themselves", ("camera", "verdict", "first failure"), rows),
-        _table("Lenses", CAMERA_COLUMNS, camera_rows(found)),
+        Table.of("Verdicts of the cameras by themselves", ("camera", "verdict", "first failure"), rows),
+        Table.under("Lenses", CAMERA_COLUMNS, camera_rows(found)),
     ]
     yield Section("cameras", "Cameras", tables=tables)
     tables = [
-        _table("Transforms to the first camera, ± 1 standard deviation", TRANSFORM_COLUMNS, transform_rows(found)),
+        Table.under("Transforms to the first camera, ± 1 standard deviation", TRANSFORM_COLUMNS, transform_rows(found)),
         _steps(found),
     ]
     if rig.pairs:
-        tables.append(_table("Pairs (vergence: + converging)", PAIR_COLUMNS, pair_rows(rig.pairs)))
+        tables.append(Table.under("Pairs (vergence: + converging)", PAIR_COLUMNS, pair_rows(rig.pairs)))
     yield Section("transforms", "Transforms and baselines", [f"{line}." for line in lines(found)], tables=tables)
     yield _captures(found)
     if rig.candidates:
         heads = [column.head for column in CANDIDATE_COLUMNS]
         tables = [
-            Table(
+            Table.of(
                 f"Lens models of {', '.join(names)} by how well they predict left-out views",
                 heads,
                 candidate_rows(models),
-                (False, True, True, False),
             )
             for names, models in rig.candidates.items()
         ]
@@ -123,16 +121,15 @@ def _captures(found: RigCalibration) -> Section:
         for index in order
         if errors is not None
     ]
-    table = Table(
+    table = Table.of(
         "Epipolar error by capture, the largest first",
         ("capture", "RMS, px"),
         rows,
-        (False, True),
         folded=len(rows) > _LISTED,
     )
     motion = found.motion
     if motion is None:
-        words = "No motion of the board between the exposures of a capture was found or looked for."
+        words = "The cameras of a capture are taken to have exposed together."
     else:
         words = (
             f"Between the exposures of a capture the board moved {1e3 * motion.median:.2g} mm (median), at most "
@@ -153,15 +150,9 @@ def _steps(found: RigCalibration) -> Table:
                 [f"{found.transform_name(name)}, {axis}", *value_and_std(value, spread), unit]
                 for axis, value, spread, unit in zip(_AXES, values, stds, _UNITS, strict=True)
             ]
-    return Table(
+    return Table.of(
         "Translation and rotation vector",
         ("part", "value", "± std", "unit"),
         rows,
-        (False, True, True, False),
         folded=True,
     )
-
-
-def _table(caption: str, columns: Sequence[Column], rows: Sequence[Sequence[object]]) -> Table:
-    cells = [[str(cell) for cell in row] for row in rows]
-    return Table(caption, [column.head for column in columns], cells, [False] + [True] * (len(columns) - 1))

@@ -85,7 +85,7 @@ def checks_table(messages: Sequence[Message]) -> Table:
         for criterion in CRITERIA.values()
     ]
     heads = ("check", "result", "limit", "found", "applies to")
-    return Table("All checks", heads, rows, (False, False, False, True, False), folded=True)
+    return Table.of("All checks", heads, rows, folded=True)
 
 
 def _result(criterion: Criterion, applies: bool) -> str:

@@ -32,7 +32,7 @@ class Difference:
 
 
 def parsed(text: str, where: str) -> CameraFile:
-    """Return the content of the text of a camera file; a covariance of many cameras, which it may not hold, is left out.
+    """Return the content of the text of a camera file, without the joint covariance of a rig, which may be elsewhere.
 
     Raises InvalidInput or FileError as for a file.
     """
@@ -67,9 +67,8 @@ def _entry(name: str, old: CameraEntry, new: CameraEntry) -> Iterator[Difference
     for key in dict.fromkeys([*old.quality, *new.quality]):
         was, now = old.quality.get(key, float("nan")), new.quality.get(key, float("nan"))
         yield from _figure(f"{name}.{key}", was, now, abs(was) / (2 * dof) ** 0.5 if key.endswith("_px") else 0.0)
-    verdicts = [_verdict(entry) for entry in (old, new)]
-    if verdicts[0] != verdicts[1]:
-        yield Difference(f"{name}: verdict", *verdicts)
+    if _verdict(old) != _verdict(new):
+        yield Difference(f"{name}: verdict", _verdict(old), _verdict(new))
 
 
 def _lens(entry: CameraEntry) -> str:

@@ -73,7 +73,7 @@ def settings_of(options: Any) -> dict[str, Any]:
     return {
         _key(each): each.setting(value)
         for each, value in given
-        if value is not None and value != each.default and value != ()
+        if value is not None and value not in (each.default, ())
     }
 
 

@@ -1,6 +1,6 @@
 """The report page of a camera or rig file alone: what it holds, and how to get the rest."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 
 from camcal.errors import InvalidInput
 from camcal.formats.camera_file import CameraEntry, CameraFile
@@ -16,7 +16,6 @@ from camcal.report.page.record import BAD, GOOD, UNKNOWN, Figure, Finding, Page,
 from camcal.report.page.render import rendered
 from camcal.report.page.verdict import findings, reasons
 from camcal.report.rig import DEPTH_COLUMNS, PAIR_COLUMNS, depth_rows, pair_rows
-from camcal.report.table import Column
 from camcal.report.uncertain import value_with_std
 from camcal.tasks.calibration.inspect import Inspection, camera_lines, file_lines, image_rows, parameter_rows
 from camcal.tasks.reports.closing import made
@@ -24,8 +23,8 @@ from camcal.tasks.reports.environment import environment
 
 _LISTED = 20
 _REST = (
-    "Residuals, coverage, poses and images are not in this file. They need the detections: camcal report DETECTIONS, or "
-    "--report with camcal calibrate and camcal rig."
+    "Residuals, coverage, poses and images are not in this file. They need the detections: camcal report DETECTIONS, "
+    "or --report with camcal calibrate and camcal rig."
 )
 
 
@@ -85,7 +84,7 @@ def _figures(file: CameraFile) -> Iterator[Figure]:
     for name, entry in file.cameras.items():
         camera, of = entry.camera, f"{name}: " if len(file.cameras) > 1 else ""
         focal = " / ".join(value_with_std(camera.value(each), camera.std(each)) for each in ("fx", "fy"))
-        yield Figure(f"{of}focal length fx / fy".capitalize() if not of else f"{of}focal length fx / fy", f"{focal} px")
+        yield Figure(f"{of}focal length fx / fy" if of else "Focal length fx / fy", f"{focal} px")
         if "rms_px" in entry.quality:
             used = f"{entry.quality['images_used']:.0f} images" if "images_used" in entry.quality else ""
             yield Figure(f"{of}RMS", f"{entry.quality['rms_px']:.3g} px", used)
@@ -96,8 +95,8 @@ def _figures(file: CameraFile) -> Iterator[Figure]:
 def _camera(name: str, entry: CameraEntry, inspection: Inspection) -> Section:
     """Return the section on one camera: parameters, field of view, projection uncertainty."""
     lines = [f"{line[:1].upper()}{line[1:]}." for line in camera_lines(entry, inspection.fields[name])]
-    heads, numeric = ("parameter", "value", "± std"), (False, True, True)
-    table = Table(f"Lens parameters of {name}", heads, parameter_rows(entry.camera), numeric)
+    heads = ("parameter", "value", "± std")
+    table = Table.of(f"Lens parameters of {name}", heads, parameter_rows(entry.camera))
     found = pictures([*_uncertainty(entry)], f"{name}-")
     return Section(f"camera-{name}", f"Camera {name}", lines, pictures=list(found.values()), tables=[table])
 
@@ -119,16 +118,13 @@ def _rig(inspection: Inspection) -> Iterator[Section]:
         return
     error = rig.measured.get("epipolar_rms_px")
     lines += [f"Epipolar error of the calibration images {error:.3g} px RMS."] if isinstance(error, float) else []
-    tables = [_table("Pairs of cameras (vergence: + converging)", PAIR_COLUMNS, pair_rows(rig.pairs))]
-    for pair in rig.pairs:
-        if rows := depth_rows(pair):
-            tables.append(_table(f"Depth error of {pair.first}, {pair.second} (1 sigma)", DEPTH_COLUMNS, rows))
+    tables = [Table.under("Pairs of cameras (vergence: + converging)", PAIR_COLUMNS, pair_rows(rig.pairs))]
+    tables += [
+        Table.under(f"Depth error of {pair.first}, {pair.second} (1 sigma)", DEPTH_COLUMNS, rows)
+        for pair in rig.pairs
+        if (rows := depth_rows(pair))
+    ]
     yield Section("transforms", "Transforms and baselines", lines, tables=tables)
-
-
-def _table(caption: str, columns: Sequence[Column], rows: Sequence[Sequence[object]]) -> Table:
-    cells = [[str(cell) for cell in row] for row in rows]
-    return Table(caption, [column.head for column in columns], cells, [False] + [True] * (len(columns) - 1))
 
 
 def _board(file: CameraFile) -> Iterator[Section]:
@@ -141,5 +137,5 @@ def _board(file: CameraFile) -> Iterator[Section]:
 def _images(file: CameraFile) -> Iterator[Section]:
     if rows := image_rows(file):
         heads = ("image", "points", "RMS, px", "not used because")
-        table = Table("Images of the calibration", heads, rows, (False, True, True, False), folded=len(rows) > _LISTED)
+        table = Table.of("Images of the calibration", heads, rows, folded=len(rows) > _LISTED)
         yield Section("images", "Images", tables=[table])

@@ -8,7 +8,7 @@ from typing import Any
 
 from camcal import files
 from camcal.calibrate.rigs.captures import Captures
-from camcal.errors import CamcalError, GateFailed, InsufficientData, InvalidInput, Located, NotConverged
+from camcal.errors import GateFailed, InsufficientData, InvalidInput, Located, NotConverged
 from camcal.formats import boards, page_data
 from camcal.formats.page_data import CALIBRATE, PageData
 from camcal.messages import Message
@@ -22,6 +22,7 @@ from camcal.tasks.calibration.options import CalibrateOptions
 from camcal.tasks.reports import agreement, camera_page, carried, rig_page
 from camcal.tasks.reports.agreement import Difference
 from camcal.tasks.reports.camera_page import CAMERA_NAME
+from camcal.tasks.reports.closing import result_text
 from camcal.tasks.reports.environment import differences, environment
 from camcal.tasks.reports.options import RerunOptions
 from camcal.tasks.reports.rig_page import RIG_NAME
@@ -119,7 +120,7 @@ def _camera(data: PageData, folder: Path, guesses: Path, progress: Progress) -> 
         refinement=carried.refinement_of(run.get("refinement")),
         candidates=found.candidates if candidates is None else candidates.get((original.name,), ()),
     )
-    text = camera_page.result_text(found.file, CAMERA_NAME)
+    text = result_text(found.file, CAMERA_NAME)
     return _Again(camera_page.page_text(found, _now(run, text), data.photos), text)
 
 
@@ -141,7 +142,7 @@ def _rig(data: PageData, folder: Path, guesses: Path, progress: Progress) -> _Ag
         refinement=carried.refinement_of(run.get("refinement")),
         candidates=carried.candidates_of(run["candidates"]) if "candidates" in run else found.candidates,
     )
-    text = rig_page.result_text(found.file, RIG_NAME)
+    text = result_text(found.file, RIG_NAME)
     return _Again(rig_page.page_text(found, _now(run, text), data.photos), text)
 
 
