@@ -16,8 +16,8 @@ def report(options: ReportOptions, call: Call) -> None:
 
     From a detections file the camera, or the cameras of a rig, are calibrated; the report then also has residuals,
     coverage, poses and images, and carries the detections, so that 'camcal rerun' can repeat it. Of a camera or rig
-    file alone it shows what the file holds. It opens in any browser without a network, prints, and follows light and dark
-    themes. Detections that no calibration can be made from get a report that says why.
+    file alone it shows what the file holds. It opens in any browser without a network, prints, and has a light and a
+    dark theme. Detections that no calibration can be made from get a report that says why.
     """
     from camcal.tasks.reports.report import document
     from camcal.tasks.reports.report import report as run

@@ -9,6 +9,7 @@ import numpy as np
 
 from camcal.calibrate.intrinsics import Calibration
 from camcal.calibrate.jackknife import CandidateModel
+from camcal.cameras.model import Camera
 from camcal.cameras.validity import ImageCircle, field_of_view
 from camcal.messages import Message
 from camcal.quality.assess import Assessment
@@ -62,8 +63,7 @@ def camera_verdict(camera: CalibratedCamera, warnings: Sequence[Message]) -> Ver
 def key_figures(camera: CalibratedCamera) -> Iterator[Figure]:
     """Yield the figures that are read first."""
     calibration, lens = camera.calibration, camera.calibration.camera
-    focal = " / ".join(value_with_std(lens.value(name), lens.std(name)) for name in ("fx", "fy"))
-    yield Figure("Focal length fx / fy", f"{focal} px", "± 1 standard deviation")
+    yield focal_figure(lens)
     yield Figure(
         "Reprojection error (RMS)", _px(calibration.rms_px), f"noise of a coordinate {_px(calibration.sigma_px)}"
     )
@@ -83,6 +83,12 @@ def key_figures(camera: CalibratedCamera) -> Iterator[Figure]:
     horizontal, vertical, _ = (degrees(angle) for angle in field_of_view(lens, camera.circle))
     angles = f", field of view {horizontal:.1f}° x {vertical:.1f}°" if isfinite(horizontal + vertical) else ""
     yield Figure("Lens model", lens.model.name, f"{width} x {height} px{angles}")
+
+
+def focal_figure(camera: Camera, of: str = "") -> Figure:
+    """Return the focal lengths; of: what begins the name of the figure, such as 'left: '."""
+    focal, other = (value_with_std(camera.value(name), camera.std(name)) for name in ("fx", "fy"))
+    return Figure(f"{of}focal length fx" if of else "Focal length fx", f"{focal} px", f"fy {other} px")
 
 
 def _at_centre(uncertainty: ProjectionUncertainty) -> str:

@@ -23,7 +23,7 @@ def _picture(plot: Plot, prefix: str) -> Picture:
     dark = encoded(plot, suffix, DARK, titled=False) if plot.dense else _recoloured(light)
     width, height = (round(side * _PX_PER_INCH) for side in plot.size)
     return Picture(
-        f"{prefix}{plot.name}",
+        f"{prefix}figure-{plot.name}",
         plot.title,
         plot.caption,
         plot.alt,

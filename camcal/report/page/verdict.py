@@ -32,7 +32,7 @@ def reasons(texts: Iterable[str], where: str) -> tuple[Finding, ...]:
 
 def _sentence(text: str) -> str:
     """Return words as a sentence; names of parameters and files keep their letters."""
-    first = text.partition(" ")[0]
+    first = text.partition(" ")[0].rstrip(",;")
     begun = text[:1].upper() + text[1:] if first.isalpha() and len(first) > 2 else text
     return f"{begun}." if begun and begun[-1] not in ".!?" else begun
 

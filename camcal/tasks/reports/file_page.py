@@ -9,14 +9,13 @@ from camcal.quality.projection_uncertainty import projection_uncertainty
 from camcal.report.figures.board import board_height, board_shape
 from camcal.report.figures.figure import Plot
 from camcal.report.figures.image_plane import projection_uncertainty as uncertainty_plot
-from camcal.report.page.calibration import board_section
+from camcal.report.page.calibration import board_section, focal_figure
 from camcal.report.page.origin import origin_section, repeat_section
 from camcal.report.page.pictures import pictures
 from camcal.report.page.record import BAD, GOOD, UNKNOWN, Figure, Finding, Page, Section, Table, Verdict
 from camcal.report.page.render import rendered
 from camcal.report.page.verdict import findings, reasons
 from camcal.report.rig import DEPTH_COLUMNS, PAIR_COLUMNS, depth_rows, pair_rows
-from camcal.report.uncertain import value_with_std
 from camcal.tasks.calibration.inspect import Inspection, camera_lines, file_lines, image_rows, parameter_rows
 from camcal.tasks.reports.closing import made
 from camcal.tasks.reports.environment import environment
@@ -83,8 +82,7 @@ def _versions(provenance: Mapping[str, object]) -> dict[str, str]:
 def _figures(file: CameraFile) -> Iterator[Figure]:
     for name, entry in file.cameras.items():
         camera, of = entry.camera, f"{name}: " if len(file.cameras) > 1 else ""
-        focal = " / ".join(value_with_std(camera.value(each), camera.std(each)) for each in ("fx", "fy"))
-        yield Figure(f"{of}focal length fx / fy" if of else "Focal length fx / fy", f"{focal} px")
+        yield focal_figure(camera, of)
         if "rms_px" in entry.quality:
             used = f"{entry.quality['images_used']:.0f} images" if "images_used" in entry.quality else ""
             yield Figure(f"{of}RMS", f"{entry.quality['rms_px']:.3g} px", used)
