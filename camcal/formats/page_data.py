@@ -6,7 +6,6 @@ was recorded, the result); `camcal-detections`, a detections file as CSV, deflat
 """
 
 import base64
-import binascii
 import json
 import re
 import zlib
@@ -127,7 +126,7 @@ def _inflated(content: str) -> str:
         if not stream.eof:
             raise FileError("damaged: the detections end too early")
         return data.decode("utf-8")
-    except (binascii.Error, zlib.error, UnicodeDecodeError) as error:
+    except (ValueError, zlib.error) as error:
         raise FileError(f"damaged: the detections cannot be unpacked ({error})") from error
 
 
@@ -135,7 +134,7 @@ def file_content(content: str, where: str) -> bytes:
     """Return the bytes of a file in base64; raises FileError if they are damaged."""
     try:
         return base64.b64decode(content, validate=True)
-    except binascii.Error as error:
+    except ValueError as error:
         raise FileError(f"damaged: {error}", where=where) from error
 
 

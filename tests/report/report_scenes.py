@@ -23,12 +23,16 @@ FLAT_DEG = 9.0
 
 @dataclass(frozen=True)
 class Scene:
-    """How the board is seen: by which lens, parallel to the image or not, bent how, and what becomes of detections."""
+    """How the board is seen: by which lens, parallel to the image or not, bent how, and what becomes of detections.
+
+    seen_from: m, how far to the right of the camera that the poses are made for.
+    """
 
     model: str = "opencv5"
     fov_deg: float = 70.0
     parallel: bool = False
     shape: Shape = FLAT
+    seen_from: float = 0.0
     change: Callable[[BoardDetection, np.random.Generator], BoardDetection] = lambda view, _: view
 
 
@@ -73,5 +77,6 @@ def detections_of(scene: Scene, count: int = VIEWS, seed: int = 3) -> Detections
     camera = camera_of(scene)
     poses = views(camera, BOARD, count, rng=rng)
     poses = [_flattened(pose, rng) for pose in poses] if scene.parallel else poses
+    poses = [Pose(pose.rotation, pose.translation - [scene.seen_from, 0, 0]) for pose in poses]
     found, _ = observe(camera, BOARD, poses, rng=rng, noise_px=NOISE_PX, shape=scene.shape)
     return replace(found, views=tuple(scene.change(view, rng) for view in found.views))

@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from itertools import pairwise
 
 import html5lib
 import pytest
@@ -82,7 +83,7 @@ def test_headings_are_in_order_and_ids_are_unique(page):
     tree = tree_of(page)
     levels = [int(element.tag[1]) for element in tree.iter() if re.fullmatch(r"h\d", str(element.tag))]
     assert levels[0] == 1
-    assert all(after <= before + 1 for before, after in zip(levels, levels[1:], strict=False))
+    assert all(after <= before + 1 for before, after in pairwise(levels))
     ids = [element.get("id") for element in tree.iter() if element.get("id")]
     assert len(ids) == len(set(ids))
     targets = {element.get("href")[1:] for element in tree.iter("a")}
@@ -98,7 +99,9 @@ def test_tables_have_scopes_and_pictures_have_texts(good):
 
 
 def test_the_verdict_comes_first_with_its_reason_and_what_to_do(good, refused):
-    assert good.index("Trustworthy</h2>") < good.index("Key figures") < good.index("Projection uncertainty and coverage")
+    assert (
+        good.index("Trustworthy</h2>") < good.index("Key figures") < good.index("Projection uncertainty and coverage")
+    )
     assert refused.index("No calibration</h2>") < refused.index("What to do:</b> Check columns, rows") < 20_000
 
 

@@ -46,6 +46,15 @@ def rig_plots(
     candidates: lens models that were compared, by the cameras of a kind.
     """
     compared = {name: found for names, found in (candidates or {}).items() for name in names}
+    of_cameras = (
+        of_part(calibration_plots(own, uncertainties[name], compared.get(name, ()), circles.get(name)), name)
+        for name, own in calibration.calibrations.items()
+    )
+    return (*joint_plots(calibration), *chain.from_iterable(of_cameras))
+
+
+def joint_plots(calibration: RigCalibration) -> tuple[Plot, ...]:
+    """Return the figures of a rig that are of no single camera."""
     first = calibration.calibrations[calibration.first]
     rig_T_board = [
         calibration.poses[name].inverse() @ view.camera_T_board
@@ -56,17 +65,13 @@ def rig_plots(
     ]
     cameras = {name: calibration.calibrations[name].camera for name in calibration.poses}
     rig_T_camera = {name: pose.inverse() for name, pose in calibration.poses.items()}
-    of_rig = [
+    of_rig = (
         rig_in_space(cameras, rig_T_camera, rig_T_board, first.board),
         epipolar_errors(calibration),
         exposure_motion(calibration),
         *(baseline_covariance(calibration, name) for name in calibration.poses if name != calibration.first),
-    ]
-    of_cameras = (
-        of_part(calibration_plots(own, uncertainties[name], compared.get(name, ()), circles.get(name)), name)
-        for name, own in calibration.calibrations.items()
     )
-    return (*(plot for plot in of_rig if plot is not None), *chain.from_iterable(of_cameras))
+    return tuple(plot for plot in of_rig if plot is not None)
 
 
 def rig_in_space(

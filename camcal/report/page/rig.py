@@ -10,7 +10,9 @@ from camcal.calibrate.rigs.record import RigCalibration
 from camcal.messages import Message, counted
 from camcal.quality.rig_geometry import PairGeometry
 from camcal.report.calibration import CANDIDATE_COLUMNS, candidate_rows
+from camcal.report.figures.rig import joint_plots
 from camcal.report.page.calibration import CalibratedCamera, camera_sections, camera_verdict
+from camcal.report.page.pictures import pictures
 from camcal.report.page.record import BAD, Figure, Section, Table, Verdict
 from camcal.report.page.verdict import verdict
 from camcal.report.rig import (
@@ -27,6 +29,7 @@ from camcal.report.uncertain import value_and_std
 _AXES = ("tx", "ty", "tz", "rx", "ry", "rz")
 _UNITS = ("mm", "mm", "mm", "deg", "deg", "deg")
 _LISTED = 20  # captures in a table that is not folded
+_OF_CAPTURES = ("epipolar_errors", "exposure_motion")  # figures beside the table of captures
 _COMMON = ("board", "models")  # sections that cameras have in common
 
 
@@ -60,7 +63,7 @@ def rig_figures(rig: CalibratedRig) -> Iterator[Figure]:
     if found.epipolar_rms_px is not None:
         yield Figure("Epipolar error (RMS)", f"{found.epipolar_rms_px:.3g} px", "at corners that two cameras saw")
     shared = found.epipolar_by_capture
-    pairs = 0 if shared is None else int(np.isfinite(shared).sum())
+    pairs = int(np.isfinite(shared).sum())
     yield Figure("Captures used", f"{len(found.captures)}", f"{pairs} seen by two cameras or more")
     worst = max(found.calibrations.values(), key=lambda own: own.rms_px)
     yield Figure(
@@ -80,14 +83,18 @@ def rig_sections(rig: CalibratedRig) -> Iterator[Section]:
         Table.under("Lenses", CAMERA_COLUMNS, camera_rows(found)),
     ]
     yield Section("cameras", "Cameras", tables=tables)
+    drawn = {plot.name: plot for plot in joint_plots(found)}
+    of_captures = pictures([drawn.pop(name) for name in _OF_CAPTURES if name in drawn])
     tables = [
         Table.under("Transforms to the first camera, ± 1 standard deviation", TRANSFORM_COLUMNS, transform_rows(found)),
         _steps(found),
     ]
     if rig.pairs:
         tables.append(Table.under("Pairs (vergence: + converging)", PAIR_COLUMNS, pair_rows(rig.pairs)))
-    yield Section("transforms", "Transforms and baselines", [f"{line}." for line in lines(found)], tables=tables)
-    yield _captures(found)
+    said = [f"{line}." for line in lines(found)]
+    shown = list(pictures(list(drawn.values())).values())
+    yield Section("transforms", "Transforms and baselines", said, pictures=shown, tables=tables)
+    yield replace(_captures(found), pictures=list(of_captures.values()))
     if rig.candidates:
         heads = [column.head for column in CANDIDATE_COLUMNS]
         tables = [
@@ -115,12 +122,8 @@ def _first(failures: Sequence[Message]) -> str:
 def _captures(found: RigCalibration) -> Section:
     """Return the section on the epipolar errors of captures and on motion between exposures."""
     errors = found.epipolar_by_capture
-    order = [] if errors is None else np.argsort(-np.nan_to_num(errors, nan=-1.0), kind="stable").tolist()
-    rows = [
-        [found.captures[index], "" if np.isnan(errors[index]) else f"{errors[index]:.3g}"]
-        for index in order
-        if errors is not None
-    ]
+    order = np.argsort(-np.nan_to_num(errors, nan=-1.0), kind="stable").tolist()
+    rows = [[found.captures[index], "" if np.isnan(errors[index]) else f"{errors[index]:.3g}"] for index in order]
     table = Table.of(
         "Epipolar error by capture, the largest first",
         ("capture", "RMS, px"),

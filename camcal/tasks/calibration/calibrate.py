@@ -3,28 +3,23 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
-from camcal import files, messages
+from camcal import messages
 from camcal.calibrate import intrinsics
-from camcal.calibrate.channels import Aberration, ColourLens, aberration, fit_colour
+from camcal.calibrate.channels import aberration, fit_colour
 from camcal.calibrate.fit import ShapeOptions
-from camcal.calibrate.intrinsics import Calibration, View
+from camcal.calibrate.intrinsics import Calibration
 from camcal.calibrate.jackknife import CandidateModel
 from camcal.calibrate.several_cameras import name_groups
 from camcal.cameras.catalogue import DEFAULT_MODEL, model_named
 from camcal.cameras.model import Camera
 from camcal.cameras.validity import ImageCircle
 from camcal.errors import GateFailed, InsufficientData, InvalidInput, NotConverged
-from camcal.formats import cameras, detections, native, native_entry, provenance
+from camcal.formats import cameras, detections, native, native_entry
 from camcal.formats.camera_file import (
-    CalibrationNoise,
-    CalibrationVerdict,
     CameraEntry,
     CameraFile,
-    ProjectionStd,
-    ValidRegion,
 )
 from camcal.messages import Message
 from camcal.options import command_line
@@ -32,13 +27,13 @@ from camcal.progress import SILENT, Progress, warn_of
 from camcal.quality.assess import Assessment, assess
 from camcal.quality.projection_uncertainty import ProjectionUncertainty, projection_uncertainty
 from camcal.raw.detection_image import COLOURS
-from camcal.report.calibration import as_data, candidates_data, uncertainty_data, view_record
+from camcal.report.calibration import as_data, candidates_data, uncertainty_data
 from camcal.run.outputs import writes
 from camcal.run.paths import split_address
 from camcal.targets.board import Board
 from camcal.targets.detection import BoardDetection
-from camcal.targets.surface import Surface
 from camcal.tasks.calibration.board_views import BoardViews, board_views
+from camcal.tasks.calibration.camera_result import Channel, camera_file, channel_figures
 from camcal.tasks.calibration.corner_refinement import RefinementSummary, refine_corners
 from camcal.tasks.calibration.image_circle_of_views import circle_lines, known_circle, with_circle
 from camcal.tasks.calibration.model_selection import Selection, select
@@ -46,14 +41,6 @@ from camcal.tasks.calibration.options import CalibrateOptions
 from camcal.tasks.calibration.video_frames import FrameRecord
 from camcal.tasks.calibration.video_frames import as_data as frame_data
 from camcal.tasks.figure_files import figure_data, write_figures
-
-
-@dataclass(frozen=True, eq=False)
-class Channel:
-    """The lens of a colour, and how far that colour lies from green."""
-
-    lens: ColourLens
-    aberration: Aberration
 
 
 @dataclass(frozen=True, eq=False)
@@ -288,73 +275,6 @@ def _solver_options(options: CalibrateOptions, guess: CameraEntry | None) -> int
     )
 
 
-def camera_file(
-    calibration: Calibration,
-    uncertainty: ProjectionUncertainty,
-    assessment: Assessment,
-    name: str,
-    command: Sequence[str],
-    channels: Mapping[str, Channel] = MappingProxyType({}),
-    circle: ImageCircle | None = None,
-) -> CameraFile:
-    """Return what the camera file says of a calibration; green is the camera itself and no channel of its own.
-
-    name: of the camera. command: the words that are recorded. circle: the image circle, where there is one.
-    """
-    entry = camera_entry(calibration, uncertainty, assessment, circle, channels)
-    surface = calibration.surface
-    return CameraFile(
-        {name: entry},
-        board_shape=surface if is_shaped(surface) else None,
-        provenance=provenance.build(command, calibration.board, map(image_record, calibration.views))
-        | channel_figures(channels),
-    )
-
-
-def camera_entry(
-    calibration: Calibration,
-    uncertainty: ProjectionUncertainty,
-    assessment: Assessment,
-    circle: ImageCircle | None,
-    channels: Mapping[str, Channel] = MappingProxyType({}),
-) -> CameraEntry:
-    """Return the entry of a calibrated camera in a camera file; circle: its image circle, where there is one."""
-    return CameraEntry(
-        calibration.camera,
-        valid=ValidRegion.of(calibration.camera, circle),
-        projection=(ProjectionStd.of(uncertainty),),
-        quality=quality_figures(calibration),
-        noise=CalibrationNoise(calibration.sigma_px, calibration.degrees_of_freedom, calibration.model_error_px),
-        verdict=CalibrationVerdict(assessment.trustworthy, tuple(each.text for each in assessment.failures)),
-        channels={colour: channel.lens.camera for colour, channel in channels.items()},
-        held_by_prior=calibration.held_by_prior,
-    )
-
-
-def is_shaped(surface: Surface) -> bool:
-    """Return whether the shape of a board was estimated."""
-    return bool(surface.tiers or surface.terms or surface.classes or surface.offsets is not None)
-
-
-def channel_figures(channels: Mapping[str, Channel]) -> dict[str, Any]:
-    """Return what is known of the aberration of every colour against green, under the key 'aberration'; pixels."""
-    figures = {
-        colour: {
-            "corner_px": channel.aberration.corner_px,
-            "corner_std_px": channel.aberration.corner_std_px,
-            "largest_px": channel.aberration.largest_px,
-            "largest_std_px": channel.aberration.largest_std_px,
-            "largest_at": channel.aberration.largest_at.tolist(),
-            "terms": list(channel.lens.terms),
-            "sigma_px": channel.lens.sigma_px,
-            "points_used": channel.lens.points,
-            "points_rejected": channel.lens.rejected,
-        }
-        for colour, channel in channels.items()
-    }
-    return {"aberration": figures} if figures else {}
-
-
 def document(report: CalibrateReport, options: CalibrateOptions) -> dict[str, Any]:
     """Return the report as plain data for --json."""
     lenses = {"channels": channel_data(report.channels)} if report.channels else {}
@@ -385,26 +305,3 @@ def channel_data(channels: Mapping[str, Channel]) -> dict[str, Any]:
         }
         for colour, camera in ((colour, channel.lens.camera) for colour, channel in channels.items())
     }
-
-
-def quality_figures(calibration: Calibration) -> dict[str, float]:
-    """Return the figures of the file's quality block: pixels and counts."""
-    import numpy as np
-
-    lengths = np.linalg.norm(calibration.residuals, axis=1)
-    return {
-        "rms_px": calibration.rms_px,
-        "median_px": float(np.median(lengths)),
-        "p95_px": float(np.percentile(lengths, 95)),
-        "max_px": float(lengths.max()),
-        "images_used": len(calibration.used),
-        "points_used": len(lengths),
-        "points_rejected": len(calibration.rejected),
-    }
-
-
-def image_record(view: View) -> dict[str, Any]:
-    """Return what the provenance says of an image, with the hash of its file; an empty one is not recorded."""
-    path = Path(view.image)
-    digest = view.sha256 if view.sha256 is not None or not path.is_file() else files.sha256(path)
-    return view_record(view) | ({"sha256": digest} if digest else {})

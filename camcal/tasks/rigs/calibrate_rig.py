@@ -27,7 +27,7 @@ from camcal.report.calibration import as_data, candidates_data, uncertainty_data
 from camcal.report.rig import motion_data, transform_data
 from camcal.run.outputs import writes
 from camcal.targets.detection import BoardDetection
-from camcal.tasks.calibration.calibrate import camera_entry, image_record, is_shaped
+from camcal.tasks.calibration.camera_result import camera_entry, image_record, is_shaped
 from camcal.tasks.calibration.corner_refinement import RefinementSummary, refine_corners
 from camcal.tasks.calibration.image_circle_of_views import known_circle
 from camcal.tasks.calibration.video_frames import as_data as frame_data

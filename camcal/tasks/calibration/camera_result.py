@@ -1,0 +1,123 @@
+"""The camera file of a calibration: the camera with what is known of it, the board, the images and their hashes."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from camcal import files
+from camcal.calibrate.channels import Aberration, ColourLens
+from camcal.calibrate.intrinsics import Calibration, View
+from camcal.cameras.validity import ImageCircle
+from camcal.formats import provenance
+from camcal.formats.camera_file import (
+    CalibrationNoise,
+    CalibrationVerdict,
+    CameraEntry,
+    CameraFile,
+    ProjectionStd,
+    ValidRegion,
+)
+from camcal.quality.assess import Assessment
+from camcal.quality.projection_uncertainty import ProjectionUncertainty
+from camcal.report.calibration import view_record
+from camcal.targets.surface import Surface
+
+
+@dataclass(frozen=True, eq=False)
+class Channel:
+    """The lens of a colour, and how far that colour lies from green."""
+
+    lens: ColourLens
+    aberration: Aberration
+
+
+def camera_file(
+    calibration: Calibration,
+    uncertainty: ProjectionUncertainty,
+    assessment: Assessment,
+    name: str,
+    command: Sequence[str],
+    channels: Mapping[str, Channel] = MappingProxyType({}),
+    circle: ImageCircle | None = None,
+) -> CameraFile:
+    """Return what the camera file says of a calibration; green is the camera itself and no channel of its own.
+
+    name: of the camera. command: the words that are recorded. circle: the image circle, where there is one.
+    """
+    entry = camera_entry(calibration, uncertainty, assessment, circle, channels)
+    surface = calibration.surface
+    return CameraFile(
+        {name: entry},
+        board_shape=surface if is_shaped(surface) else None,
+        provenance=provenance.build(command, calibration.board, map(image_record, calibration.views))
+        | channel_figures(channels),
+    )
+
+
+def camera_entry(
+    calibration: Calibration,
+    uncertainty: ProjectionUncertainty,
+    assessment: Assessment,
+    circle: ImageCircle | None,
+    channels: Mapping[str, Channel] = MappingProxyType({}),
+) -> CameraEntry:
+    """Return the entry of a calibrated camera in a camera file; circle: its image circle, where there is one."""
+    return CameraEntry(
+        calibration.camera,
+        valid=ValidRegion.of(calibration.camera, circle),
+        projection=(ProjectionStd.of(uncertainty),),
+        quality=quality_figures(calibration),
+        noise=CalibrationNoise(calibration.sigma_px, calibration.degrees_of_freedom, calibration.model_error_px),
+        verdict=CalibrationVerdict(assessment.trustworthy, tuple(each.text for each in assessment.failures)),
+        channels={colour: channel.lens.camera for colour, channel in channels.items()},
+        held_by_prior=calibration.held_by_prior,
+    )
+
+
+def is_shaped(surface: Surface) -> bool:
+    """Return whether the shape of a board was estimated."""
+    return bool(surface.tiers or surface.terms or surface.classes or surface.offsets is not None)
+
+
+def channel_figures(channels: Mapping[str, Channel]) -> dict[str, Any]:
+    """Return what is known of the aberration of every colour against green, under the key 'aberration'; pixels."""
+    figures = {
+        colour: {
+            "corner_px": channel.aberration.corner_px,
+            "corner_std_px": channel.aberration.corner_std_px,
+            "largest_px": channel.aberration.largest_px,
+            "largest_std_px": channel.aberration.largest_std_px,
+            "largest_at": channel.aberration.largest_at.tolist(),
+            "terms": list(channel.lens.terms),
+            "sigma_px": channel.lens.sigma_px,
+            "points_used": channel.lens.points,
+            "points_rejected": channel.lens.rejected,
+        }
+        for colour, channel in channels.items()
+    }
+    return {"aberration": figures} if figures else {}
+
+
+def quality_figures(calibration: Calibration) -> dict[str, float]:
+    """Return the figures of the file's quality block: pixels and counts."""
+    lengths = np.linalg.norm(calibration.residuals, axis=1)
+    return {
+        "rms_px": calibration.rms_px,
+        "median_px": float(np.median(lengths)),
+        "p95_px": float(np.percentile(lengths, 95)),
+        "max_px": float(lengths.max()),
+        "images_used": len(calibration.used),
+        "points_used": len(lengths),
+        "points_rejected": len(calibration.rejected),
+    }
+
+
+def image_record(view: View) -> dict[str, Any]:
+    """Return what the provenance says of an image, with the hash of its file; an empty one is not recorded."""
+    path = Path(view.image)
+    digest = view.sha256 if view.sha256 is not None or not path.is_file() else files.sha256(path)
+    return view_record(view) | ({"sha256": digest} if digest else {})
