@@ -19,6 +19,7 @@ from camcal.formats import detections
 from camcal.tasks.calibration.calibrate import calibrate
 from camcal.tasks.calibration.options import CalibrateOptions
 
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "report"))
 from chromium import running
 from report_scenes import SCENES, detections_of

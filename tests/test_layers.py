@@ -49,6 +49,7 @@ OPENCV_EDGES = {
     "report/colour_scale.py",
     "report/stereo_pictures.py",
     "report/overlays.py",
+    "report/page/thumbnails.py",
     "run/fanout.py",
     "stereo/matching/filling.py",
     "stereo/matching/learned.py",

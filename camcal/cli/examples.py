@@ -67,8 +67,8 @@ _CALLS = {  # a comment with the purpose above each call, as in a shell
         report detections.csv -o report.html
         # What a camera file holds
         report camera.yaml -o report.html
-        # With a report in one go: calibrate images and write both files
-        calibrate photos/ --board target.yaml -o camera.yaml --report report.html
+        # With another lens model
+        report detections.csv -o report.html --model opencv8
     """,
     "rerun": """
         # Calibrate again from a report: camera.yaml and report.html in a folder

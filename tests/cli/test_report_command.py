@@ -1,14 +1,14 @@
-"""`camcal report`, `--report` and `camcal rerun`: what is written, what a rerun repeats, and what it says of changes."""
+"""`camcal report`, `--report` and `camcal rerun`: what is written, what is repeated, what is said of changes."""
 
 import json
 import re
-import sys
 from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from report_scenes import SCENES, camera_of, detections_of
 
 from camcal.errors import InsufficientData
 from camcal.formats import detections, native, page_data
@@ -18,9 +18,6 @@ from camcal.tasks.calibration.options import CalibrateOptions
 from camcal.tasks.reports.carried import options_of, settings_of
 from camcal.tasks.reports.options import ReportOptions
 from camcal.tasks.reports.report import report
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "report"))
-from report_scenes import SCENES, camera_of, detections_of
 
 QUICK = ("--model", "opencv4", "--flat-board", "--no-free-corners")
 slow = pytest.mark.slow

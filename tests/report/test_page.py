@@ -10,7 +10,7 @@ from report_scenes import SCENES, detections_of
 
 from camcal.errors import InsufficientData
 from camcal.formats import detections
-from camcal.report.page.record import DataBlock, Page, Section, Table, Verdict
+from camcal.report.page.record import DataBlock, Page, PageVerdict, Section, Table
 from camcal.report.page.render import rendered
 from camcal.tasks.calibration.calibrate import calibrate
 from camcal.tasks.calibration.options import CalibrateOptions
@@ -123,7 +123,7 @@ def test_sections_come_in_the_order_in_which_they_are_read(good):
 
 
 def bare(**changes):
-    page = Page("T", "S", Verdict("good", "H", "W"), (), (), (Section("s", "S"),), "camcal 0")
+    page = Page("T", "S", PageVerdict("good", "H", "W"), (), (), (Section("s", "S"),), "camcal 0")
     return replace(page, **changes)
 
 

@@ -17,7 +17,7 @@ from camcal.quality.projection_uncertainty import ProjectionUncertainty
 from camcal.report.calibration import CANDIDATE_COLUMNS, candidate_rows, parameter_rows, summary
 from camcal.report.figures.calibration import calibration_plots
 from camcal.report.page.pictures import pictures
-from camcal.report.page.record import Figure, Picture, Section, Table, Verdict
+from camcal.report.page.record import Figure, PageVerdict, Picture, Section, Table
 from camcal.report.page.thumbnails import MOST, thumbnails
 from camcal.report.page.verdict import checks_table, verdict
 from camcal.report.uncertain import held_by_prior_words, number_text, projection_words, value_and_std, value_with_std
@@ -50,7 +50,7 @@ class CalibratedCamera:
         return f"{_NOT_IN_IDS.sub('-', self.name)}-" if self.name else ""
 
 
-def camera_verdict(camera: CalibratedCamera, warnings: Sequence[Message]) -> Verdict:
+def camera_verdict(camera: CalibratedCamera, warnings: Sequence[Message]) -> PageVerdict:
     """Return the verdict in words; warnings: all of the calibration, those of detection too."""
     known = _at_corner(camera.uncertainty)
     where = f", {known} at the image corner" if known else ""

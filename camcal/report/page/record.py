@@ -13,7 +13,7 @@ _NUMBER = re.compile(r"[+-]?[\d.]+(e[+-]?\d+)?( / \d+)?")
 
 
 @dataclass(frozen=True)
-class Finding:
+class ShownMessage:
     """A failure or a warning. what: what was found. remedy: what to do, "" where the message does not say it.
 
     rule: the criterion that applies, in words. where: file or camera, "" for the whole result.
@@ -28,13 +28,16 @@ class Finding:
 
 
 @dataclass(frozen=True)
-class Verdict:
-    """Whether the result may be trusted, in words. state: GOOD, WEAK (usable, with warnings), BAD, REFUSED, UNKNOWN."""
+class PageVerdict:
+    """Whether the result may be trusted, in words; remedy: what to do.
+
+    state: GOOD, WEAK (usable, with warnings), BAD, REFUSED, UNKNOWN.
+    """
 
     state: str
     headline: str
     why: str
-    advice: str = ""
+    remedy: str = ""
 
 
 @dataclass(frozen=True)
@@ -115,7 +118,6 @@ class Section:
     name: str
     title: str
     lines: Sequence[str] = ()
-    findings: Sequence[Finding] = ()
     pictures: Sequence[Picture] = ()
     tables: Sequence[Table] = ()
     thumbnails: Sequence[Thumbnail] = ()
@@ -137,8 +139,8 @@ class Page:
 
     title: str
     subtitle: str
-    verdict: Verdict
-    findings: Sequence[Finding]
+    verdict: PageVerdict
+    messages: Sequence[ShownMessage]
     figures: Sequence[Figure]
     sections: Sequence[Section]
     made: str

@@ -25,14 +25,14 @@ def refused_page(
     photos: Mapping[str, str],
 ) -> Page:
     """Return the report; failure: why there is no calibration. closing: the last sections."""
-    verdict, finding = refusal(failure)
+    verdict, shown = refusal(failure)
     found = [view for view in views if view.found]
     lines = ["Blue dots: detected corners. The corner ids of all views have to be those of the board that is given."]
     return Page(
         title,
         f"{counted(len(views), 'image')}, board: {board.words}",
         verdict,
-        (finding,),
+        (shown,),
         figures=tuple(_figures(board, views)),
         sections=(
             Section("images", "Images", lines, thumbnails=_thumbnails(found, photos), tables=[_table(views)]),

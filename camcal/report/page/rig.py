@@ -13,7 +13,7 @@ from camcal.report.calibration import CANDIDATE_COLUMNS, candidate_rows
 from camcal.report.figures.rig import joint_plots
 from camcal.report.page.calibration import CalibratedCamera, camera_sections, camera_verdict
 from camcal.report.page.pictures import pictures
-from camcal.report.page.record import BAD, Figure, Section, Table, Verdict
+from camcal.report.page.record import BAD, Figure, PageVerdict, Section, Table
 from camcal.report.page.verdict import verdict
 from camcal.report.rig import (
     CAMERA_COLUMNS,
@@ -45,7 +45,7 @@ class CalibratedRig:
     warnings: Sequence[Message] = ()
 
 
-def rig_verdict(rig: CalibratedRig) -> Verdict:
+def rig_verdict(rig: CalibratedRig) -> PageVerdict:
     """Return the verdict on a rig in words."""
     found = rig.calibration
     error = found.epipolar_rms_px

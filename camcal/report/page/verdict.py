@@ -1,33 +1,37 @@
-"""The verdict of a page and its findings in words."""
+"""The verdict of a page and its messages in words."""
 
 from collections.abc import Iterable, Sequence
 
 from camcal.messages import CODES, Message, counted
 from camcal.quality.criteria import CRITERIA, Criterion
-from camcal.report.page.record import BAD, FAILURE, GOOD, REFUSED, WARNING, WEAK, Finding, Table, Verdict
+from camcal.report.page.record import BAD, FAILURE, GOOD, REFUSED, WARNING, WEAK, PageVerdict, ShownMessage, Table
 
 _MEANINGS = {code: words for group in CODES.values() for code, words in group.items()}
 _REMEDY = ": "  # what a message says is: what was found: what to do
 
 
-def findings(failures: Iterable[Message], warnings: Iterable[Message]) -> tuple[Finding, ...]:
+def shown_messages(failures: Iterable[Message], warnings: Iterable[Message]) -> tuple[ShownMessage, ...]:
     """Return failures, then warnings, each with what to do and the rule that it is from."""
     every = [(FAILURE, each) for each in failures] + [(WARNING, each) for each in warnings]
-    return tuple(_finding(level, each) for level, each in every)
+    return tuple(_shown(level, each) for level, each in every)
 
 
-def _finding(level: str, message: Message) -> Finding:
-    what, _, remedy = message.text.rpartition(_REMEDY)
-    if not what:
-        what, remedy = message.text, ""
+def _shown(level: str, message: Message) -> ShownMessage:
+    what, remedy = _parts(message.text)
     criterion = CRITERIA.get(message.code)
     rule = _MEANINGS.get(message.code, "") if criterion is None else _rule(criterion, message)
-    return Finding(level, message.code, _sentence(what), _sentence(remedy), rule, message.where or "")
+    return ShownMessage(level, message.code, what, remedy, rule, message.where or "")
 
 
-def reasons(texts: Iterable[str], where: str) -> tuple[Finding, ...]:
+def _parts(text: str) -> tuple[str, str]:
+    """Return what was found and what to do as sentences, "" for what is not said."""
+    what, _, remedy = text.rpartition(_REMEDY)
+    return (_sentence(what), _sentence(remedy)) if what else (_sentence(text), "")
+
+
+def shown_reasons(texts: Iterable[str], where: str) -> tuple[ShownMessage, ...]:
     """Return why a file says that a calibration is not to be trusted."""
-    return tuple(_finding(FAILURE, Message("", text, where=where)) for text in texts)
+    return tuple(ShownMessage(FAILURE, "", *_parts(text), where=where) for text in texts)
 
 
 def _sentence(text: str) -> str:
@@ -47,26 +51,26 @@ def _limit(criterion: Criterion) -> str:
     return f"{criterion.limit:g} {criterion.unit}".strip()
 
 
-def verdict(failures: Sequence[Message], warnings: Sequence[Message], known: str) -> Verdict:
+def verdict(failures: Sequence[Message], warnings: Sequence[Message], known: str) -> PageVerdict:
     """Return the verdict of a calibration with these failures and warnings; known: how well it is known, a sentence."""
     if failures:
         why = (
             f"{counted(len(failures), 'check')} failed: what is measured with this calibration may be wrong by more "
             "than its standard deviations say."
         )
-        return Verdict(BAD, "Do not trust this calibration", why, "The figures below serve to find the cause.")
+        return PageVerdict(BAD, "Do not trust this calibration", why, "The figures below serve to find the cause.")
     if warnings:
         headline = f"Trustworthy, with {counted(len(warnings), 'warning')}"
-        return Verdict(
+        return PageVerdict(
             WEAK, headline, f"No check failed. {known}", "The warnings say what is weak, and how to improve it."
         )
-    return Verdict(GOOD, "Trustworthy", f"All {len(CRITERIA)} checks passed. {known}")
+    return PageVerdict(GOOD, "Trustworthy", f"All {len(CRITERIA)} checks passed. {known}")
 
 
-def refusal(message: Message) -> tuple[Verdict, Finding]:
+def refusal(message: Message) -> tuple[PageVerdict, ShownMessage]:
     """Return the verdict of detections that no calibration can be made from, and why."""
     why = "No calibration can be made from these detections. Nothing was written but this report."
-    return Verdict(REFUSED, "No calibration", why), _finding(FAILURE, message)
+    return PageVerdict(REFUSED, "No calibration", why), _shown(FAILURE, message)
 
 
 def checks_table(messages: Sequence[Message]) -> Table:

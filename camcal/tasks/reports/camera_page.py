@@ -15,7 +15,7 @@ from camcal.report.page.record import Page
 from camcal.report.page.refused import refused_page
 from camcal.report.page.render import rendered
 from camcal.report.page.thumbnails import views_of, worst_first
-from camcal.report.page.verdict import findings
+from camcal.report.page.verdict import shown_messages
 from camcal.tasks.calibration.board_views import BoardViews
 from camcal.tasks.calibration.calibrate import CalibrateReport
 from camcal.tasks.calibration.options import CalibrateOptions
@@ -63,7 +63,7 @@ def page_text(report: CalibrateReport, run: Mapping[str, Any], photos: Mapping[s
         f"Calibration of {name}",
         _subtitle(report.calibration),
         camera_verdict(camera, report.warnings),
-        findings(report.failures, report.warnings),
+        shown_messages(report.failures, report.warnings),
         figures=tuple(key_figures(camera)),
         sections=sections,
         made=made(),

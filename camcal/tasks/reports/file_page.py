@@ -12,9 +12,9 @@ from camcal.report.figures.image_plane import projection_uncertainty as uncertai
 from camcal.report.page.calibration import board_section, focal_figure
 from camcal.report.page.origin import origin_section, repeat_section
 from camcal.report.page.pictures import pictures
-from camcal.report.page.record import BAD, GOOD, UNKNOWN, Figure, Finding, Page, Section, Table, Verdict
+from camcal.report.page.record import BAD, GOOD, UNKNOWN, Figure, Page, PageVerdict, Section, ShownMessage, Table
 from camcal.report.page.render import rendered
-from camcal.report.page.verdict import findings, reasons
+from camcal.report.page.verdict import shown_messages, shown_reasons
 from camcal.report.rig import DEPTH_COLUMNS, PAIR_COLUMNS, depth_rows, pair_rows
 from camcal.tasks.calibration.inspect import Inspection, camera_lines, file_lines, image_rows, parameter_rows
 from camcal.tasks.reports.closing import made
@@ -39,7 +39,7 @@ def file_page(inspection: Inspection) -> str:
         f"Camera {names}" if len(file.cameras) == 1 else f"Cameras {names}",
         f"{counted(len(file.cameras), 'camera')} of a file",
         _verdict(file),
-        (*_reasons(file), *findings((), file.warnings)),
+        (*_reasons(file), *shown_messages((), file.warnings)),
         figures=tuple(_figures(file)),
         sections=(
             *(_camera(name, entry, inspection) for name, entry in file.cameras.items()),
@@ -54,21 +54,21 @@ def file_page(inspection: Inspection) -> str:
     return rendered(page)
 
 
-def _verdict(file: CameraFile) -> Verdict:
+def _verdict(file: CameraFile) -> PageVerdict:
     verdicts = [entry.verdict for entry in file.cameras.values()]
     if any(each is not None and not each.trustworthy for each in verdicts):
-        return Verdict(BAD, "Do not trust this calibration", "The file says so, for the reasons below.", _REST)
+        return PageVerdict(BAD, "Do not trust this calibration", "The file says so, for the reasons below.", _REST)
     if verdicts and all(each is not None for each in verdicts):
-        return Verdict(GOOD, "Trustworthy", "The file says so: all checks passed when it was written.", _REST)
-    return Verdict(UNKNOWN, "Unknown", "The file does not say whether the calibration may be trusted.", _REST)
+        return PageVerdict(GOOD, "Trustworthy", "The file says so: all checks passed when it was written.", _REST)
+    return PageVerdict(UNKNOWN, "Unknown", "The file does not say whether the calibration may be trusted.", _REST)
 
 
-def _reasons(file: CameraFile) -> tuple[Finding, ...]:
+def _reasons(file: CameraFile) -> tuple[ShownMessage, ...]:
     return tuple(
-        finding
+        each
         for name, entry in file.cameras.items()
         if entry.verdict is not None
-        for finding in reasons(entry.verdict.reasons, name if len(file.cameras) > 1 else "")
+        for each in shown_reasons(entry.verdict.reasons, name if len(file.cameras) > 1 else "")
     )
 
 

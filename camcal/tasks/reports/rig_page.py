@@ -16,7 +16,7 @@ from camcal.report.page.refused import refused_page
 from camcal.report.page.render import rendered
 from camcal.report.page.rig import CalibratedRig, rig_figures, rig_sections, rig_verdict
 from camcal.report.page.thumbnails import views_of, worst_first
-from camcal.report.page.verdict import findings
+from camcal.report.page.verdict import shown_messages
 from camcal.tasks.reports.carried import blocks, candidates_data, messages_data, run_of
 from camcal.tasks.reports.closing import closing_sections, images_of, made, result_text
 from camcal.tasks.reports.photographs import photographs
@@ -102,7 +102,7 @@ def page_text(report: RigReport, run: Mapping[str, Any], photos: Mapping[str, st
         f"Calibration of the rig {', '.join(names)}",
         f"{counted(len(names), 'camera')}, {captures} of a {report.views.board.words}",
         rig_verdict(rig),
-        findings(report.failures, report.warnings),
+        shown_messages(report.failures, report.warnings),
         figures=tuple(rig_figures(rig)),
         sections=(*rig_sections(rig), *closing),
         made=made(),

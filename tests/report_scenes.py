@@ -18,7 +18,7 @@ SIZE = (1280, 960)
 VIEWS = 24
 NOISE_PX = 0.1
 SHEAR_PX = 2.0
-FLAT_DEG = 9.0
+FLAT_DEG = 5.5
 
 
 @dataclass(frozen=True)
