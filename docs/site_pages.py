@@ -1,8 +1,9 @@
 """The navigation of the site, and what its pages say otherwise (a hook of mkdocs).
 
 In the navigation `folder/*` stands for the other pages of a folder, `*` for all others; a page that does not exist is
-left out. Two things are written for the repository's own view and read otherwise by mkdocs: what stands behind the
-language of a fence, for tests, is removed, and a bar in code within a table needs no backslash.
+left out. Three things are written for the repository's own view and read otherwise by mkdocs: what stands behind the
+language of a fence, for tests, is removed; a bar in code within a table needs no backslash; a link to a file outside
+docs/, such as a script, becomes plain text.
 """
 
 import re
@@ -21,8 +22,10 @@ def on_files(files: Any, config: Any) -> None:
     config["nav"] = _filled(config["nav"], [page for page in pages if page not in named], others, set(pages))
 
 
-def on_page_markdown(markdown: str, **_: Any) -> str:
+def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
     """Return a page as mkdocs reads it."""
+    above = "../" * (page.file.src_uri.count("/") + 1)
+    markdown = re.sub(rf"\[([^\]]+)\]\({re.escape(above)}[^)]*\)", r"\1", markdown)
     plain = re.sub(r"^```(\w+) \w+$", r"```\1", markdown, flags=re.MULTILINE)
     return re.sub(r"^\|.*$", lambda row: _CODE.sub(_with_bars, row[0]), plain, flags=re.MULTILINE)
 

@@ -13,6 +13,7 @@ import pytest
 PROJECT = Path(__file__).parents[2]
 sys.path.insert(0, str(PROJECT / "tests"))
 
+from documentation_pictures import PICTURES as MADE  # noqa: E402
 from run_page import PAGES, README, masked, missing, run, steps  # noqa: E402
 
 PICTURES = PROJECT / "docs" / "pictures"
@@ -68,3 +69,9 @@ def test_every_picture_is_there_small_described_and_shown():
     assert [path.name for path, said in shown.items() if not path.exists() or len(said) < 15] == []
     assert {path for path in shown if path.parent == PICTURES} == set(PICTURES.glob("*.png"))
     assert [path.name for path in PICTURES.glob("*.png") if path.stat().st_size > LARGEST] == []
+
+
+def test_every_picture_that_the_script_makes_is_there():
+    made = {name for pictures in MADE.values() for name in pictures}
+    assert made - {path.stem for path in PICTURES.glob("*.png")} == set()
+    assert set(MADE) <= {page.stem.lower() for page in (README, *PAGES)}

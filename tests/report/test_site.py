@@ -8,7 +8,9 @@ from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from importlib.util import find_spec
 from pathlib import Path
+from runpy import run_path
 from threading import Thread
+from types import SimpleNamespace
 
 import pytest
 from chromium import running
@@ -80,6 +82,12 @@ def test_every_page_of_the_documentation_is_a_page_of_the_site(site):
     built = {path.relative_to(site) for path in site.rglob("*.html")}
     assert {path.with_name("index.html") if path.stem == "README" else path for path in pages} <= built
     assert not [path for path in site.rglob("*") if path.suffix in {".py", ".in", ".1"}]
+
+
+def test_a_link_out_of_the_documentation_is_plain_text():
+    hook = run_path(str(PROJECT / "docs" / "site_pages.py"))["on_page_markdown"]
+    page = SimpleNamespace(file=SimpleNamespace(src_uri="recipes/a.md"))
+    assert hook("[x](../../tests/y.py) [z](../b.md#c) [w](d.md)", page) == "x [z](../b.md#c) [w](d.md)"
 
 
 def test_a_bar_in_a_table_stands_without_its_backslash(site):
