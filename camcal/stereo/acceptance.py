@@ -25,12 +25,18 @@ class Limits(NamedTuple):
 LIMITS = Limits()
 
 
-def too_few(matched: float) -> tuple[Message, ...]:
-    """Return the failure of a map with such a share of matched pixels, none if they are enough."""
+def too_few(matched: float, *, by_rig: bool = False) -> tuple[Message, ...]:
+    """Return the failure of a map with such a share of matched pixels, none if they are enough.
+
+    by_rig: the images were rectified by a rig file, so that this and their order may be wrong.
+    """
     if matched >= LIMITS.matched:
         return ()
     text = (
         f"{100 * matched:.1f} % of the pixels matched (limit {100 * LIMITS.matched:g} %): check that both images show "
-        "the same scene and are rectified, and the --range"
     )
+    if by_rig:
+        text += "the same scene, that LEFT and RIGHT are not exchanged, that the rig file is theirs, and the --range"
+    else:
+        text += "the same scene and are rectified, and the --range"
     return (Message("few_matches", text, {"matched": matched, "limit": LIMITS.matched}),)

@@ -154,3 +154,10 @@ def test_images_of_another_size_than_the_camera_are_named(run, tmp_path, beside)
     )
     assert code == 2
     assert "small.png: is 80x60, the maps are for 160x120" in err
+
+
+def test_exchanged_images_of_a_rig_are_a_reason_for_few_matches(run, tmp_path, beside):
+    pair = beside.right, beside.left, beside.file
+    code, _, err = run("stereo", "disparity", *pair, "-o", tmp_path / "m.tiff", "--quality", "fast")
+    assert code == 7
+    assert "that LEFT and RIGHT are not exchanged, that the rig file is theirs" in err

@@ -104,7 +104,7 @@ def match_images(
         disparity = replace(within(disparity, valid), at_ends=(0.0, disparity.at_ends[1]))
     if model is None:
         share = np.count_nonzero(disparity.confidence > Confidence.FILLED) / max(pixels, 1)
-        found = found._replace(failures=found.failures + too_few(float(share)))
+        found = found._replace(failures=found.failures + too_few(float(share), by_rig=images.valid is not None))
     if upright:
         parts = (disparity.values, disparity.sigma, disparity.confidence)
         values, sigma, confidence = (_transposed(part) for part in parts)
