@@ -245,7 +245,7 @@ class Run:
             if folder.is_dir() and (not added <= known or removed & known):
                 with suppress(FileError):  # a folder that became read-only; what was written is there
                     change_list(folder, added, removed)
-        for folder in self.new_folders:
+        for folder in sorted(self.new_folders, key=lambda each: len(each.parts), reverse=True):
             with suppress(OSError):  # something is in it
                 folder.rmdir()
 

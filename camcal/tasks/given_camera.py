@@ -12,7 +12,7 @@ from camcal.formats import cameras
 from camcal.formats.camera_file import CameraEntry, CameraFile
 from camcal.formats.cameras.record import CAMERA, Given, MissingSize
 from camcal.progress import SILENT, Progress
-from camcal.run.paths import IMAGE_SUFFIXES, VIDEO_SUFFIXES, split_address
+from camcal.run.paths import IMAGE_SUFFIXES, VIDEO_SUFFIXES, require_there, split_address
 from camcal.tasks.options import GivenCamera
 
 Size = tuple[int, int]
@@ -44,6 +44,7 @@ def read_camera_file(
         raise InvalidInput("no camera: give a camera file, or --camera-matrix FX,FY,CX,CY")
     path = split_address(address)[0]
     require_no_image(path)
+    require_there(path)
     try:
         return cameras.read(path, progress, Given(given.size, given.model), second)
     except MissingSize:

@@ -207,3 +207,15 @@ def test_a_file_of_one_camera_is_no_rig(run, tmp_path, rig):
     code, _, err = run("stereo", "run", path, rig.left, rig.right, "-o", tmp_path / "result")
     assert code == 2
     assert "camera.yaml: is no rig: a file with two cameras" in err
+
+
+def test_a_run_that_fails_leaves_nothing_and_names_a_near_file(run, tmp_path, rig):
+    for side in ("left", "right"):
+        cv2.imwrite(str(tmp_path / f"{side}.png"), np.full(SIZE[::-1], 128, np.uint8))
+    blank = tmp_path / "left.png", tmp_path / "right.png"
+    code, _, _ = run("stereo", "run", *blank, "--board", "chessboard:9x6:25mm", "-o", tmp_path / "result", *QUICK)
+    assert code == 4
+    assert not (tmp_path / "result").exists()
+    code, _, err = run("stereo", "run", rig.file.with_suffix(".yml"), *blank, "-o", tmp_path / "result", *QUICK)
+    assert code == 3
+    assert "rig.yml: no such file. Did you mean" in err
