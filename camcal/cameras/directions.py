@@ -32,11 +32,9 @@ def _jacobians(camera: Camera, pixels: Array) -> tuple[Array, Array]:
     """Return the derivatives of the pixels of fixed directions by the parameters (N, 2, K) and a rotation (N, 2, 3)."""
     rays = camera.unproject(pixels).directions
     projected = camera.model.project_with_jacobians(camera.parameters, rays)
-    by_lens = np.array(projected.d_parameters)
-    if projected.columns is not None:
-        by_lens = np.zeros((len(pixels), 2, len(camera.parameters)))
-        np.put_along_axis(by_lens, np.asarray(projected.columns)[:, None, :], projected.d_parameters, axis=2)
-    return by_lens, np.asarray(projected.d_point @ -so3.hat(rays))  # δray = δr × ray
+    return projected.by_parameters(len(camera.parameters)), np.asarray(
+        projected.d_point @ -so3.hat(rays)
+    )  # δray = δr × ray
 
 
 def _rotations(by_lens: Array, by_rotation: Array) -> Array:

@@ -40,6 +40,14 @@ class ProjectionJacobians:
     d_parameters: FloatArray
     columns: IntArray | None = None
 
+    def by_parameters(self, count: int) -> FloatArray:
+        """Return the derivatives (N, 2, count) by all parameters, in order, of a model with so many."""
+        if self.columns is None:
+            return self.d_parameters
+        found = np.zeros((len(self.valid), 2, count))
+        np.put_along_axis(found, self.columns[:, None, :].repeat(2, axis=1), self.d_parameters, axis=2)
+        return found
+
 
 @dataclass(frozen=True, eq=False)
 class Rays:

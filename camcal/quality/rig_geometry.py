@@ -229,12 +229,7 @@ def _derivatives(pair: _Pair, points: Array) -> tuple[Array, Array]:
     for index, (camera, place) in enumerate(zip(pair.cameras, places, strict=True)):
         found = camera.model.project_with_jacobians(camera.parameters, place)
         rows, start = slice(2 * index, 2 * index + 2), index * counts[0]
-        by_lens = np.zeros((len(points), 2, counts[index]))
-        if found.columns is None:
-            by_lens[:] = found.d_parameters
-        else:
-            np.put_along_axis(by_lens, found.columns[:, None, :].repeat(2, axis=1), found.d_parameters, axis=2)
-        by_calibration[:, rows, start : start + counts[index]] = by_lens
+        by_calibration[:, rows, start : start + counts[index]] = found.by_parameters(counts[index])
         by_point[:, rows] = found.d_point if index == 0 else found.d_point @ pair.pose.rotation
         if index == 1:
             by_calibration[:, rows, -6:] = found.d_point @ point_jacobian(rotated)

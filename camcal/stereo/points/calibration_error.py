@@ -141,15 +141,9 @@ def _turns(camera: Camera, points: Array) -> Array:
     """
     jacobians = camera.model.project_with_jacobians(camera.parameters, points)
     count = len(camera.parameters)
-    d_parameters = np.zeros((len(points), 2, count))
-    if jacobians.columns is None:
-        d_parameters[:] = jacobians.d_parameters
-    else:
-        np.put_along_axis(d_parameters, jacobians.columns[:, None, :].repeat(2, axis=1), jacobians.d_parameters, 2)
-    d_parameters[~jacobians.valid] = np.nan
     result = np.full((len(points), 3, count), np.nan)
     valid = jacobians.valid
-    result[valid] = -np.linalg.pinv(jacobians.d_point[valid]) @ d_parameters[valid]
+    result[valid] = -np.linalg.pinv(jacobians.d_point[valid]) @ jacobians.by_parameters(count)[valid]
     return result
 
 

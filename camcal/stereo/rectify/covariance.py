@@ -49,11 +49,7 @@ def _view_by_lens(source: Camera, view: Camera, view_R_source: Array) -> Array |
         seen = taken.valid & np.all((taken.pixels >= 0) & (taken.pixels <= last), axis=1)
     if seen.sum() < 4:
         return None
-    by_lens = np.zeros((len(rays), 2, len(source.parameters)))
-    if taken.columns is None:
-        by_lens[:] = taken.d_parameters
-    else:
-        np.put_along_axis(by_lens, taken.columns[:, None, :].repeat(2, axis=1), taken.d_parameters, axis=2)
+    by_lens = taken.by_parameters(len(source.parameters))
     # the ray of a fixed pixel of the source, and where it stands in the view
     ray_by_lens = -np.linalg.pinv(taken.d_point[seen]) @ by_lens[seen]
     drawn = view.model.project_with_jacobians(view.parameters, rays[seen])
