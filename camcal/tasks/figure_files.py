@@ -23,18 +23,27 @@ def write_figures(options: FigureOptions, plots: Sequence["Plot"], theme: str = 
         return ()
     from camcal.report.figures import figure
 
-    paths = [options.folder / f"{plot.name}.{options.kind}" for plot in plots]
+    paths = [options.folder / f"{name}.{options.kind}" for name in _distinct([plot.name for plot in plots])]
     captions = options.folder / CAPTIONS
     claim((*paths, captions))
     for path, plot in zip(paths, plots, strict=True):
         files.write_bytes(path, figure.encoded(plot, path.suffix, figure.THEMES[theme]))
-    files.write_text(captions, captions_page(plots, options.kind))
+    files.write_text(captions, captions_page(plots, paths))
     return tuple(paths)
 
 
-def captions_page(plots: Sequence["Plot"], kind: str) -> str:
-    """Return a page in Markdown that shows figures of a type with their captions."""
-    parts = [f"## {plot.title}\n\n![{plot.alt}]({plot.name}.{kind})\n\n{plot.caption}\n" for plot in plots]
+def _distinct(names: Sequence[str]) -> list[str]:
+    """Return names with a number after those that stood before: objects may differ in letters that no file has."""
+    return [
+        name if name not in names[:index] else f"{name}_{1 + names[:index].count(name)}"
+        for index, name in enumerate(names)
+    ]
+
+
+def captions_page(plots: Sequence["Plot"], paths: Sequence[Path]) -> str:
+    """Return a page in Markdown that shows figures beside it with their captions."""
+    shown = zip(plots, paths, strict=True)
+    parts = [f"## {plot.title}\n\n![{plot.alt}]({path.name})\n\n{plot.caption}\n" for plot, path in shown]
     return "\n".join(["# Figures\n", *parts])
 
 

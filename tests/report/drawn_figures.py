@@ -68,6 +68,7 @@ def _require_texts_apart(plot, figure):
     assert boxes, plot.name
     for item, box in boxes:
         what = f"{plot.name}: {item.get_text()!r}"
+        assert "\\math" not in item.get_text(), what
         assert item.get_fontsize() * shrunk >= LEAST_POINTS - 0.2, what
         inside = box.x0 > -MARGIN and box.y0 > -MARGIN and box.x1 < width + MARGIN and box.y1 < height + MARGIN
         assert inside, f"{what} at {box} is not inside {width} x {height}"

@@ -18,6 +18,7 @@ from camcal.cameras.model import Camera
 from camcal.cameras.validity import ImageCircle
 from camcal.quality.projection_uncertainty import projection_uncertainty
 from camcal.report.figures import image_plane
+from camcal.report.figures.board import poses
 from camcal.report.figures.calibration import calibration_plots, correlation_matrix, residuals_by_view, short_name
 from camcal.report.figures.figure import DARK, LIGHT, drawn, encoded
 from camcal.simulate.scene import Shape, observe, views
@@ -209,6 +210,14 @@ def test_boards_are_drawn_where_they_stood_with_equal_lengths_along_all_axes():
     size = np.array([np.ptp(limits) for limits in (axes.get_xlim(), axes.get_ylim(), axes.get_zlim())])
     ratio = np.asarray(axes._box_aspect) / size
     assert ratio == pytest.approx(np.full(3, ratio[0]))
+
+
+def test_a_wide_range_of_colours_has_its_numbers_written_out():
+    found = calibrated()
+    wide = replace(found, views=tuple(replace(view, rms_px=0.02 * 2**k) for k, view in enumerate(found.used)))
+    require_readable(poses(wide))
+    labels = [label.get_text() for label in drawn(poses(wide)).axes[1].get_yticklabels()]
+    assert {"0.1", "1", "10"} <= set(labels)
 
 
 def test_correlations_are_those_of_the_covariance():

@@ -127,7 +127,7 @@ def poses(calibration: Calibration) -> Plot:
             axes.plot(*upright(line).T, color=theme.series[1], lw=1.2)
         equal_aspect(axes, upright(np.concatenate([*boards, *lines])))
         label_space(axes, unit)
-        axes.figure.colorbar(faces, ax=axes, label="RMS of the view, px", shrink=0.6, pad=0.12)
+        colour_bar(axes, faces, "RMS of the view, px", shrink=0.6, pad=0.12)
 
     return Plot(
         "poses",

@@ -269,9 +269,9 @@ def scale_of(values: Array) -> Normalize:
     return Normalize(low, high if high > low else low + (abs(low) or 1.0), clip=True)
 
 
-def colour_bar(axes: Axes, mapped: Any, label: str) -> None:
+def colour_bar(axes: Any, mapped: Any, label: str, shrink: float = 0.9, pad: float = 0.02) -> None:
     """Draw the scale of what is mapped beside axes; numbers are written out."""
-    bar = axes.figure.colorbar(mapped, ax=axes, label=label, shrink=0.9, pad=0.02)
+    bar = axes.figure.colorbar(mapped, ax=axes, label=label, shrink=shrink, pad=pad)
     if isinstance(bar.norm, LogNorm):
         low, high = bar.norm.vmin or 1.0, bar.norm.vmax or 1.0
         ticks = _round_ticks(low, high)
