@@ -15,13 +15,16 @@ from camcal.calibrate.fit import ShapeOptions
 from camcal.calibrate.rigs.calibrate import calibrate_rig
 from camcal.calibrate.rigs.record import RigOptions
 from camcal.cameras.catalogue import model_named
+from camcal.errors import InsufficientData
 from camcal.estimate.curves.curve import Curve, Data
 from camcal.estimate.curves.fit import fit_curve
 from camcal.estimate.tracking.process_noise import ProcessNoise
 from camcal.estimate.tracking.track import TrackOptions, track_poses
+from camcal.formats.poses.record import PixelNoise, PoseKey, PoseRecord, Poses
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose, Trajectory
 from camcal.quality.projection_uncertainty import projection_uncertainty
+from camcal.report.figures.camera_files import pose_plots
 from camcal.report.figures.curves import fitted_curve, parameter_errors
 from camcal.report.figures.disparity_errors import DisparityErrors, disparity_error_plots, disparity_map
 from camcal.report.figures.figure import drawn
@@ -167,6 +170,31 @@ def test_with_a_reference_the_colours_are_errors_after_alignment():
 def test_a_flat_or_short_trajectory_is_drawn_too():
     require_readable(trajectory_plots(path_of(spiral(rise=0.0)))[0])
     require_readable(trajectory_plots(path_of(spiral(count=2)))[0])
+
+
+def test_a_path_along_a_line_leaves_room_for_the_numbers_of_its_axes():
+    time = np.linspace(0, 1, 20)
+    places = np.stack([0.1 * time, 0.005 * time, 0.3 - 0.12 * time], axis=1)
+    straight = Trajectory("camera_T_object", time, np.broadcast_to(np.eye(3), (20, 3, 3)), places)
+    for plot in trajectory_plots(path_of(straight)):
+        require_readable(plot)
+
+
+def test_poses_without_an_order_are_points_without_a_line():
+    rng = np.random.default_rng(4)
+    keys = [PoseKey(f"{number}.png") for number in range(6)]
+    records = [
+        PoseRecord(Pose(np.eye(3), rng.normal(0, 0.1, 3)), np.eye(6), np.eye(6), "ok", 0.1 * (1 + n), 0.5, 20, 20)
+        for n in range(6)
+    ]
+    plots = pose_plots(Poses("camera_T_object", "m", PixelNoise(0.1), dict(zip(keys, records, strict=True))))
+    figure = require_readable(plots[0])
+    assert not any(isinstance(each, LineCollection) for each in figure.axes[0].collections)
+    places = np.asarray(figure.axes[0].collections[0].get_offsets())
+    assert places == pytest.approx(1e3 * np.array([record.transform.translation[:2] for record in records]))
+    drawn(plots[1])
+    with pytest.raises(InsufficientData):
+        pose_plots(Poses("camera_T_object", "m", PixelNoise(0.1), {}))
 
 
 # series, fits

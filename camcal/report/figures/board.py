@@ -20,6 +20,7 @@ from camcal.targets.surface import Surface
 
 _RELIEF = 0.25  # of the board's longer side: how high its largest deviation is drawn
 _MOST_RELIEF = 1000.0  # times: what is flatter is drawn flat
+_LEAST_EXTENT = 0.35  # of the longest axis in space: what a short one is drawn long
 _ZOOM, _LABEL_PAD = 0.9, 7.0  # of what stands in axes in space; points: labels stay inside, and off the numbers
 _LEAST = 1e-9  # of the board's longer side: a flat board
 
@@ -191,7 +192,10 @@ def label_space(axes: Axes3D, unit: str) -> None:
 def equal_aspect(axes: Axes3D, points: Array) -> None:
     """Give axes in space the extent of points (N, 3), equal lengths along all of them."""
     low, high = points.min(axis=0), points.max(axis=0)
-    margin = 0.03 * float((high - low).max()) or 0.5
+    longest = float((high - low).max())
+    spread = np.maximum(_LEAST_EXTENT * longest - (high - low), 0) / 2  # room for the numbers of a short axis
+    low, high = low - spread, high + spread
+    margin = 0.03 * longest or 0.5
     axes.set(xlim=(low[0] - margin, high[0] + margin), ylim=(low[1] - margin, high[1] + margin))
     axes.set_zlim(low[2] - margin, high[2] + margin)
     axes.set_box_aspect(high - low + 2 * margin, zoom=_ZOOM)

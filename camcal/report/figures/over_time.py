@@ -15,6 +15,7 @@ from camcal.report.figures.figure import WIDTH, Plot, Theme, beside, logarithmic
 
 _AXES = "xyz"
 _HEADROOM = 30  # times the largest NIS: room for the legend
+_LEAST_NIS = 0.05  # that is shown: one in a million is less
 _ROW = 1.3  # inches
 
 
@@ -141,7 +142,10 @@ def innovations(track: Track, gate: float) -> Plot:
         axes.axhline(gate, color=theme.bad, lw=1, ls="--", label=f"gate {gate:.4g}")
         axes.axhline(6, color=theme.ink, lw=1, ls=":", label="expected mean 6")
         axes.set_yscale("log")
-        axes.set_ylim(top=_HEADROOM * max(gate, float(np.nanmax(track.nis, initial=gate))))
+        axes.set_ylim(
+            bottom=max(axes.get_ylim()[0], _LEAST_NIS),
+            top=_HEADROOM * max(gate, float(np.nanmax(track.nis, initial=gate))),
+        )
         logarithmic_labels(axes.yaxis)
         axes.set_ylabel("NIS, 1")
         axes.set_xlabel("time, s")

@@ -155,9 +155,10 @@ def _segments(places: Array, path: DrawnPath) -> tuple[Array, Array]:
 
 def _draw_line(axes: Axes, places: Array, path: DrawnPath, theme: Theme) -> None:
     lines, values = _segments(places, path)
-    drawn = LineCollection(list(lines), cmap=line_colours(theme), norm=_scale(path), lw=1.8, rasterized=True)
-    drawn.set_array(values)
-    axes.add_collection(drawn)
+    if len(lines):
+        drawn = LineCollection(list(lines), cmap=line_colours(theme), norm=_scale(path), lw=1.8, rasterized=True)
+        drawn.set_array(values)
+        axes.add_collection(drawn)
     axes.scatter(
         places[:, 0], places[:, 1], 4, path.colours, cmap=line_colours(theme), norm=_scale(path), rasterized=True
     )
@@ -175,9 +176,10 @@ def in_space(path: DrawnPath) -> Plot:
         places = factor * path.places
         axes = space_axes(figure, theme)
         lines, values = _segments(places, path)
-        drawn = Line3DCollection(list(lines), cmap=line_colours(theme), norm=_scale(path), lw=1.8)
-        drawn.set_array(values)
-        axes.add_collection3d(drawn)
+        if len(lines):
+            drawn = Line3DCollection(list(lines), cmap=line_colours(theme), norm=_scale(path), lw=1.8)
+            drawn.set_array(values)
+            axes.add_collection3d(drawn)
         axes.scatter(*places.T, c=path.colours, cmap=line_colours(theme), norm=_scale(path), s=4, depthshade=False)
         axes.plot(*places[0], "o", color=theme.good, ms=6, label="start")
         axes.plot(*places[-1], "s", color=theme.bad, ms=6, label="end")
@@ -189,7 +191,7 @@ def in_space(path: DrawnPath) -> Plot:
         equal_aspect(axes, everything)
         for name in _AXES:
             getattr(axes, f"set_{name}label")(f"{name}, {unit}")
-        figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=3)
+        axes.legend(loc="upper left")
         figure.colorbar(_mapped(path, theme), ax=axes, label=path.label, shrink=0.6, pad=0.14)
 
     return Plot(
