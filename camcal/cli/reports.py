@@ -27,10 +27,8 @@ def report(options: ReportOptions, call: Call) -> None:
 
 
 def _show_report(found: "Reported") -> None:
-    for failure in found.failures:
-        show.verdict(f"{show.DO_NOT_TRUST}{failure}", good=False)
-    if found.trustworthy:
-        show.verdict(show.TRUSTWORTHY, good=True)
+    if found.trustworthy or found.failures:
+        show.trust(found.failures)
     show.wrote(found.output)
 
 

@@ -1,4 +1,4 @@
-"""Resources of a process: available cores, signals that stop it, and the environment of workers.
+"""Resources of a process: available cores and their name, signals that stop it, and the environment of workers.
 
 A process may use the cores of its CPU affinity and of the quota of its control group. A worker finds one BLAS and
 OpenCV thread, no Ctrl-C, no main script to run again.
@@ -6,6 +6,7 @@ OpenCV thread, no Ctrl-C, no main script to run again.
 
 import math
 import os
+import platform
 import signal
 import sys
 import types
@@ -23,6 +24,7 @@ BLAS_THREADS = (
 
 _MOUNT = Path("/sys/fs/cgroup")
 _MEMBERSHIP = Path("/proc/self/cgroup")
+_PROCESSORS = Path("/proc/cpuinfo")
 _STOPPING = ("SIGTERM", "SIGHUP")
 _ONE_THREAD = (*BLAS_THREADS, "OPENCV_FOR_THREADS_NUM")
 
@@ -31,6 +33,12 @@ def available_cores() -> int:
     """Return the number of cores this process may use, at least 1."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     return max(1, min(cores, quota_cores(_MEMBERSHIP, _MOUNT)))
+
+
+def processor_name() -> str:
+    """Return the name of the processor, "unknown" where the system does not say it."""
+    lines = [line for line in _text(_PROCESSORS).splitlines() if line.startswith("model name")]
+    return lines[0].partition(":")[2].strip() if lines else platform.processor() or "unknown"
 
 
 def quota_cores(membership: Path, mount: Path) -> int:

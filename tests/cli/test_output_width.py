@@ -40,6 +40,8 @@ RUNS = {
     "simulate --stereo": "simulate --stereo -o pairs --size 160x120 -j 1",
     "board": "board aprilgrid:4x3:40mm:0.3 -o board.svg --kalibr kalibr.yaml",
     "detect": "detect boards tags/b --board chessboard:5x5:40mm -o corners.csv --draw drawn -j 1",
+    "report": "report pair.yaml -o report.html",
+    "rerun": "rerun again.html -o again",
     "plot": "plot path.tum -o plotted",
     "convert": "convert pair.yaml converted.yml --to opencv",
     "calibrate": "calibrate seen.csv -o camera.yaml -j 1",
@@ -77,7 +79,7 @@ RUNS = {
     "optics --formats": "optics --formats",
     "doctor": "doctor",
 }
-SLOW = ("demo",)
+SLOW = ("demo", "rerun")
 
 
 @dataclass
@@ -186,6 +188,8 @@ def test_every_command_has_its_runs():
 
 @pytest.mark.parametrize("name", [pytest.param(name, marks=[pytest.mark.slow] * (name in SLOW)) for name in RUNS])
 def test_nothing_is_wider_than_the_terminal_and_nothing_is_broken(run, terminal, name, monkeypatch):
+    if name == "rerun":
+        run("report", "seen.csv", "-o", "again.html", "--quiet")
     monkeypatch.setattr("sys.stdout.isatty", lambda: True)
     code, out, err = run(*RUNS[name].split(), "--verbose")
     assert code in (0, 4, 6, 7), err
