@@ -18,7 +18,7 @@ from camcal.progress import SILENT
 from camcal.simulate.render import Exposure, render
 from camcal.simulate.scene import observe, views
 from camcal.targets.board import Board
-from camcal.tasks.calibration.calibrate import image_record
+from camcal.tasks.calibration.camera_result import image_record
 from camcal.tasks.calibration.options import FrameOptions
 from camcal.tasks.calibration.video_frames import detect_frame
 from camcal.tasks.rigs.calibrate_rig import rig
