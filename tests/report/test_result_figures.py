@@ -258,6 +258,14 @@ def test_the_figures_of_disparity_errors_are_readable():
     require_readable(disparity_map(errors_of_a_map().errors + 20))
 
 
+def test_a_map_without_a_match_is_drawn_too():
+    nothing = np.full((20, 30), np.nan)
+    everywhere = np.ones(nothing.shape, bool)
+    for plot in (disparity_map(nothing), *disparity_error_plots(DisparityErrors(nothing, everywhere, everywhere))):
+        assert drawn(plot).axes
+        assert "nan" not in plot.caption
+
+
 def test_bad_pixels_are_those_beyond_the_threshold_and_those_without_a_disparity():
     found = errors_of_a_map()
     assert found.bad_percent(2.0) == pytest.approx(100 * 15 / 55, abs=0.5)

@@ -48,7 +48,7 @@ def board_height(surface: Surface) -> Plot | None:
         "board_height",
         "Board out of plane",
         f"Height of the board's points (dots) over their plane, positive along the board's z axis: {across:.2g} {unit} "
-        f"from the lowest to the highest; uncertainty of the estimated bend ± {_std(surface):.2g} {unit} (1 σ).",
+        f"from the lowest to the highest{_significance(surface)}.",
         f"Contours of the board's height; it spans {across:.2g} {unit}.",
         draw,
         panel_height(surface.board.extent),
@@ -77,15 +77,19 @@ def board_shape(surface: Surface) -> Plot | None:
         "board_shape",
         "Board shape",
         f"The board as estimated, its height exaggerated {factor:g} x: {float(np.ptp(height)):.2g} {unit} from the "
-        f"lowest to the highest point (1 σ {_std(surface):.2g} {unit}).",
+        f"lowest to the highest point{_significance(surface)}.",
         f"Surface of the board with heights exaggerated {factor:g} times.",
         draw,
         (WIDTH, 3.8),
     )
 
 
-def _std(surface: Surface) -> float:
-    return surface.deflection_std * length_unit(surface.board)[0]
+def _significance(surface: Surface) -> str:
+    """Return the uncertainty of a board's bend in words, and whether it is planar within that."""
+    factor, unit = length_unit(surface.board)
+    std = surface.deflection_std
+    planar = ", planar within that" if surface.deflection <= 2 * std else ""
+    return f" (1 σ of the bend {factor * std:.2g} {unit}{planar})"
 
 
 def length_unit(board: Board) -> tuple[float, str]:

@@ -52,13 +52,14 @@ def disparity_map(values: Array) -> Plot:
     known = values[np.isfinite(values)]
     share = 100 * known.size / max(values.size, 1)
     scale = image_plane.scale_of(known)
-    low, high = (float(known.min()), float(known.max())) if known.size else (float("nan"), float("nan"))
-    words = f"{low:.4g} to {high:.4g} px, {share:.1f} % of the pixels matched"
+    words = f"{share:.1f} % of the pixels matched"
+    if known.size:
+        words = f"{float(known.min()):.4g} to {float(known.max()):.4g} px, {words}"
+    shown, extent = _thinned(values), (-0.5, values.shape[1] - 0.5, values.shape[0] - 0.5, -0.5)
 
     def draw(figure: FigureBase, theme: Theme) -> None:
         axes = _image_axes(figure)
-        extent = (-0.5, values.shape[1] - 0.5, values.shape[0] - 0.5, -0.5)
-        image = axes.imshow(_thinned(values), COLOUR_MAP, norm=scale, interpolation="nearest", extent=extent)
+        image = axes.imshow(shown, COLOUR_MAP, scale, interpolation="nearest", extent=extent)
         axes.set_facecolor(theme.faint)
         image_plane.colour_bar(axes, image, "disparity, px")
 
@@ -76,20 +77,19 @@ def disparity_map(values: Array) -> Plot:
 def error_histogram(found: DisparityErrors) -> Plot:
     """Return the histogram of disparity minus truth."""
     values = found.counted
-    median = float(np.median(values)) if len(values) else float("nan")
-    within = 100 * float((np.abs(values) <= _REACH).mean()) if len(values) else float("nan")
-    words = f"median {median:+.3g} px, {within:.1f} % within {_REACH:g} px"
+    shares, ends = np.histogram(values, np.linspace(-_REACH, _REACH, _BINS + 1))
+    shares = 100 * shares / max(len(values), 1)
+    median = float(np.median(values)) if len(values) else 0.0
+    words = f"median {median:+.3g} px, {shares.sum():.1f} % within {_REACH:g} px, of {len(values)} pixels"
 
     def draw(figure: FigureBase, theme: Theme) -> None:
         axes = figure.subplots()
-        ends = np.linspace(-_REACH, _REACH, _BINS + 1)
-        inside = values[np.abs(values) <= _REACH]
-        share = np.full(len(inside), 100 / max(len(values), 1))
-        axes.hist(inside, ends.tolist(), weights=share, color=theme.series[0])
+        axes.stairs(shares, ends, fill=True, color=theme.series[0])
         axes.axvline(0, color=theme.ink, lw=1)
         axes.axvline(median, color=theme.series[1], lw=1.5, ls="--", label=f"median {median:+.3g} px")
-        axes.set_yscale("log")
-        axes.set_ylim(top=8 * axes.get_ylim()[1])
+        if len(values):
+            axes.set_yscale("log")
+            axes.set_ylim(shares[shares > 0].min() / 2, 8 * shares.max())
         axes.set_xlim(-_REACH, _REACH)
         axes.set_xlabel("disparity minus truth, px")
         axes.set_ylabel("pixels, %")
@@ -110,26 +110,21 @@ def error_histogram(found: DisparityErrors) -> Plot:
 def error_map(found: DisparityErrors) -> Plot:
     """Return the errors over the image."""
     values = found.counted
-    mean = float(np.mean(np.abs(values))) if len(values) else float("nan")
+    mean = float(np.mean(np.abs(values))) if len(values) else 0.0
+    shown, extent = _thinned(np.where(found.known, np.abs(found.errors), np.nan)), _extent(found)
 
     def draw(figure: FigureBase, theme: Theme) -> None:
         axes = _image_axes(figure)
         scale = BoundaryNorm(_LEVELS, 256, extend="max")
-        image = axes.imshow(
-            _thinned(np.where(found.known, np.abs(found.errors), np.nan)),
-            cmap=COLOUR_MAP,
-            norm=scale,
-            interpolation="nearest",
-            extent=_extent(found),
-        )
+        image = axes.imshow(shown, COLOUR_MAP, scale, interpolation="nearest", extent=extent)
         axes.set_facecolor(theme.faint)
         image_plane.colour_bar(axes, image, "error, px")
 
     return Plot(
         "error_map",
         "Errors over the image",
-        f"Distance of the disparity from the truth, px, {mean:.3g} px on average where both cameras see; gray: no "
-        "disparity or no truth.",
+        f"Distance of the disparity from the truth, px, {mean:.3g} px on average of the {len(values)} pixels that both "
+        "cameras see; gray: no disparity or no truth.",
         f"Map of disparity errors, {mean:.3g} px on average.",
         draw,
         panel_height((found.errors.shape[1], found.errors.shape[0])),
@@ -146,13 +141,14 @@ def bad_pixels(found: DisparityErrors, threshold: float = 2.0) -> Plot:
     kinds[~np.isfinite(found.errors)] = 2
     kinds[~found.visible] = 3
     kinds[~found.known] = 4
+    shown, extent = _thinned(kinds), _extent(found)
     words = (f"within {threshold:g} px", f"beyond {threshold:g} px", "no disparity", "occluded", "no truth")
 
     def draw(figure: FigureBase, theme: Theme) -> None:
         axes = _image_axes(figure)
         colours = [theme.paper, theme.bad, theme.series[0], theme.faint, theme.ink]
         shades = ListedColormap(colours)
-        axes.imshow(_thinned(kinds), shades, vmin=0, vmax=4, interpolation="nearest", extent=_extent(found))
+        axes.imshow(shown, shades, vmin=0, vmax=4, interpolation="nearest", extent=extent)
         handles = [Patch(fc=colour, ec=theme.ink, label=word) for colour, word in zip(colours, words, strict=True)]
         figure.legend(handles=handles, loc="outside lower center", ncols=3, columnspacing=0.8)
 
@@ -178,9 +174,9 @@ def _image_axes(figure: FigureBase) -> Axes:
 
 
 def _thinned(image: Array) -> Array:
-    """Return every n-th pixel of an image (H, W), no more than can be shown."""
+    """Return a copy of every n-th pixel of an image (H, W), no more than can be shown: figures keep no whole image."""
     step = -(-max(image.shape) // _MOST)
-    return image[::step, ::step]
+    return image[::step, ::step].copy()
 
 
 def _extent(found: DisparityErrors) -> tuple[float, float, float, float]:
