@@ -125,8 +125,8 @@ def test_a_figure_that_differs_is_named_with_its_size_in_standard_deviations(run
 
     def move(page):
         text = page["result"]
-        focal, std = (float(found) for found in re.findall(r"{fx: ([\d.]+)", text)[:2])
-        page["result"] = text.replace(f"{{fx: {focal!r}", f"{{fx: {focal + 0.5 * std!r}", 1)
+        focal, std = (float(found) for found in re.findall(r"\bfx: ([\d.]+)", text)[:2])
+        page["result"] = text.replace(f"fx: {focal!r}", f"fx: {focal + 0.5 * std!r}", 1)
 
     changed(Path("report.html"), move)
     code, out, said = run("rerun", "report.html", "-o", "again")

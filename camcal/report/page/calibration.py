@@ -49,6 +49,11 @@ class CalibratedCamera:
         """What begins the ids of its elements in the page."""
         return f"{_NOT_IN_IDS.sub('-', self.name)}-" if self.name else ""
 
+    @property
+    def owner(self) -> str:
+        """What ends the captions of its tables, which differ within a page."""
+        return f" of {self.name}" if self.name else ""
+
 
 def camera_verdict(camera: CalibratedCamera, warnings: Sequence[Message]) -> PageVerdict:
     """Return the verdict in words; warnings: all of the calibration, those of detection too."""
@@ -133,12 +138,12 @@ def camera_sections(camera: CalibratedCamera, warnings: Sequence[Message] = ()) 
     yield board_section(calibration.surface, taken("board_shape", "board_height"), prefix)
     yield Section(f"{prefix}poses", "Poses", pictures=taken("poses"))
     yield images_section(camera)
-    yield _parameters(calibration, taken("correlations"), prefix)
+    yield _parameters(camera, taken("correlations"))
     if camera.candidates:
         caption = "Lens models by how well they predict left-out views"
         table = Table.under(caption, CANDIDATE_COLUMNS, candidate_rows(camera.candidates))
         yield Section(f"{prefix}models", "Choice of the lens model", pictures=taken("lens_models"), tables=[table])
-    yield Section(f"{prefix}checks", "Checks", _checked(warnings), tables=[checks_table(warnings)])
+    yield Section(f"{prefix}checks", "Checks", _checked(warnings), tables=[checks_table(warnings, camera.owner)])
     if found:
         yield Section(f"{prefix}more", "Further figures", pictures=list(found.values()))
 
@@ -190,7 +195,7 @@ def images_section(camera: CalibratedCamera) -> Section:
         for view in calibration.views
     ]
     table = Table.of(
-        "All images" if not camera.name else f"All images of {camera.name}",
+        f"All images{camera.owner}",
         ("image", "used", "corners", "RMS, px", "not used because"),
         rows,
         folded=len(rows) > _LISTED,
@@ -198,21 +203,21 @@ def images_section(camera: CalibratedCamera) -> Section:
     return Section(f"{camera.prefix}images", "Images", [words], tables=[table], thumbnails=shown)
 
 
-def _parameters(calibration: Calibration, shown: Sequence[Picture], prefix: str) -> Section:
-    camera = calibration.camera
+def _parameters(own: CalibratedCamera, shown: Sequence[Picture]) -> Section:
+    calibration, camera = own.calibration, own.calibration.camera
     rows = [[name, value, std, _unit(name)] for name, value, std in parameter_rows(calibration)]
-    tables = [Table.of("Lens parameters", ("parameter", "value", "± std", "unit"), rows)]
+    tables = [Table.of(f"Lens parameters{own.owner}", ("parameter", "value", "± std", "unit"), rows)]
     names = [name for name in camera.model.parameter_names if camera.std(name)]
     if camera.covariance is not None and len(names) > 1:
-        tables.append(_strongest(calibration, names))
+        tables.append(_strongest(own, names))
     lines = [f"Lens model {camera.model.name}."]
     lines += [f"{held_by_prior_words(calibration.held_by_prior)}."] if calibration.held_by_prior else []
-    return Section(f"{prefix}parameters", "Parameters", lines, pictures=shown, tables=tables)
+    return Section(f"{own.prefix}parameters", "Parameters", lines, pictures=shown, tables=tables)
 
 
-def _strongest(calibration: Calibration, names: Sequence[str]) -> Table:
+def _strongest(own: CalibratedCamera, names: Sequence[str]) -> Table:
     """Return the table of strongly correlated parameters, the strongest first."""
-    camera = calibration.camera
+    camera = own.calibration.camera
     assert camera.covariance is not None
     index = [camera.model.parameter_names.index(name) for name in names]
     part = camera.covariance[np.ix_(index, index)]
@@ -221,7 +226,7 @@ def _strongest(calibration: Calibration, names: Sequence[str]) -> Table:
     strong = sorted((pair for pair in pairs if abs(pair[0]) > _STRONG), key=lambda pair: -abs(pair[0]))
     rows = [[f"{one}, {other}", f"{share:+.3f}"] for share, one, other in strong]
     caption = f"Correlations beyond ± {_STRONG:g}" if rows else f"No correlation is beyond ± {_STRONG:g}"
-    return Table.of(caption, ("parameters", "correlation"), rows, folded=True)
+    return Table.of(f"{caption}{own.owner}", ("parameters", "correlation"), rows, folded=True)
 
 
 def _unit(name: str) -> str:

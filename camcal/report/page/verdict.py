@@ -73,8 +73,8 @@ def refusal(message: Message) -> tuple[PageVerdict, ShownMessage]:
     return PageVerdict(REFUSED, "No calibration", why), _shown(FAILURE, message)
 
 
-def checks_table(messages: Sequence[Message]) -> Table:
-    """Return the table of all criteria and whether they are met."""
+def checks_table(messages: Sequence[Message], owner: str) -> Table:
+    """Return the table of all criteria and whether they are met; owner: what ends its caption."""
     found = {each.code: each for each in messages}
     rows = [
         [
@@ -89,7 +89,7 @@ def checks_table(messages: Sequence[Message]) -> Table:
         for criterion in CRITERIA.values()
     ]
     heads = ("check", "result", "limit", "found", "applies to")
-    return Table.of("All checks", heads, rows, folded=True)
+    return Table.of(f"All checks{owner}", heads, rows, folded=True)
 
 
 def _result(criterion: Criterion, applies: bool) -> str:
