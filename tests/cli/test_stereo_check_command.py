@@ -240,7 +240,7 @@ def test_columns_of_cameras_above_each_other_are_checked(run, tmp_path):
     code, out, err = run(*arguments, "-o", tmp_path / "check.png")
     assert (code, err) == (0, "")
     assert "columns differ by +0.80" in out or "columns differ by +0.79" in out
-    assert "column differences 0." in out
+    assert "Column differences 0." in out
     found = json.loads(run(*arguments, "--json")[1])["pairs"][0]
     assert (found["axis"], found["size"]) == ("y", list(size))
     assert run(*arguments, "--max-rms", 0.5)[0] == 7
