@@ -42,7 +42,7 @@ def good(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def refused(tmp_path_factory):
-    return written(tmp_path_factory.mktemp("refused"), SCENES["wrong-board"], hostile, model="opencv5")
+    return written(tmp_path_factory.mktemp("refused"), SCENES["wrong-board"], hostile, model="opencv5", name=HOSTILE)
 
 
 @pytest.fixture(params=["good", "refused"])
