@@ -49,4 +49,4 @@ def captions_page(plots: Sequence["Plot"], paths: Sequence[Path]) -> str:
 
 def figure_data(paths: Sequence[Path]) -> dict[str, Any]:
     """Return the files of figures for --json, nothing where none were asked for."""
-    return {"figures": [path.as_posix() for path in paths]} if paths else {}
+    return {"figure_files": [path.as_posix() for path in paths]} if paths else {}

@@ -77,6 +77,6 @@ def document(report: PlotReport) -> dict[str, Any]:
     """Return the report as plain data for --json."""
     return {
         "inputs": [{"file": each.path.as_posix(), "kind": each.kind} for each in report.drawn],
-        "figures": [path.as_posix() for path in report.figures],
+        "figure_files": [path.as_posix() for path in report.figures],
         "captions": {own.name: own.caption for each in report.drawn for own in each.plots},
     }

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_page import REGISTERED
 
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
@@ -52,7 +53,7 @@ def test_calibrate_draws_its_figures_with_their_captions(run, results, tmp_path)
         "--figures", figures, "--figure-format", "svg", "--json",
     )  # fmt: skip
     assert code == 0
-    assert {Path(name).stem for name in json.loads(out)["figures"]} == CALIBRATION
+    assert {Path(name).stem for name in json.loads(out)["figure_files"]} == CALIBRATION
     assert written(figures) == {f"{name}.svg" for name in CALIBRATION} | {"figures.md"}
     captions = (figures / "figures.md").read_text()
     assert "![" in captions
@@ -83,13 +84,13 @@ def test_commands_draw_their_figures(run, results, tmp_path, words, names):
     paths = [results / word if (results / word).exists() else word for word in words]
     code, out, _ = run(*paths, "--figures", tmp_path / "figures", "--json")
     assert code == 0
-    assert {Path(name).stem for name in json.loads(out)["figures"]} == names
+    assert {Path(name).stem for name in json.loads(out)["figure_files"]} == names
     assert written(tmp_path / "figures") == {f"{name}.png" for name in names} | {"figures.md"}
 
 
 def test_without_the_option_nothing_is_drawn_and_nothing_said(run, results):
     code, out, _ = run("fit", results / "table.csv", "--model", "poly:1", "--json")
-    assert (code, "figures" in json.loads(out)) == (0, False)
+    assert (code, "figure_files" in json.loads(out)) == (0, False)
 
 
 @pytest.mark.parametrize(
@@ -115,7 +116,7 @@ def test_results_of_smoothing_and_fitting_can_be_drawn(run, results, tmp_path):
     code, out, _ = run("plot", smoothed, fit, "-o", tmp_path / "figures", "--json")
     assert code == 0
     assert [item["kind"] for item in json.loads(out)["inputs"]] == ["series", "fit"]
-    stems = {Path(name).stem for name in json.loads(out)["figures"]}
+    stems = {Path(name).stem for name in json.loads(out)["figure_files"]}
     assert stems == {"smoothed_over_time", "fit_parameter_errors", "fit_correlations"}
 
 
@@ -171,3 +172,8 @@ def test_pictures_of_others_are_not_replaced(run, results, tmp_path):
     assert (code, "was not written by camcal" in err) == (2, True)
     assert written(tmp_path / "figures") == {"coverage.png"}
     assert run("plot", results / "detections.csv", "-o", tmp_path / "figures", "--overwrite")[0] == 0
+
+
+def test_the_commands_that_draw_their_results_are_these():
+    drawing = {name for name, each in REGISTERED.items() if any(one.name == "--figures" for one in each.declared)}
+    assert drawing == {"calibrate", "rig", "stereo calibrate", "track", "smooth", "fit", "sensor", "stereo eval"}

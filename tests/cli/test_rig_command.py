@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -185,6 +186,19 @@ def test_cameras_of_a_table_without_their_names_are_those_of_its_images(run, see
 
 
 @pytest.mark.slow
+@pytest.mark.slow
+def test_a_rig_is_drawn_with_its_cameras_and_its_file_again(run, table, tmp_path):
+    words = ("rig", table, "-o", tmp_path / "rig.yaml", *QUICK, "--figures", tmp_path / "figures", "--json")
+    code, out, _ = run(*words)
+    names = {Path(path).stem for path in json.loads(out)["figure_files"]}
+    assert code == 0
+    assert {"rig", "epipolar_errors", "covariance_right_T_left", "left_coverage", "right_residual_vectors"} < names
+    code, out, _ = run("plot", tmp_path / "rig.yaml", "-o", tmp_path / "again", "--json")
+    document = json.loads(out)
+    assert (code, document["inputs"][0]["kind"]) == (0, "rig")
+    assert {"rig", "left_field_angle", "right_residuals_by_view"} <= set(document["captions"])
+
+
 def test_lenses_may_be_held_or_be_a_prior(run, seen, table, tmp_path, rig_file):
     given = native.read(rig_file).cameras["left"].camera
     for lenses in ("fixed", "prior"):

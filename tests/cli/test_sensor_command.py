@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -99,6 +100,18 @@ def test_json_is_one_document_with_a_frozen_schema(run, scene, tmp_path):
     assert document["figures"]["read_noise_e"]["value"] == pytest.approx(3.0, rel=0.05)
     assert set(document["figures"]["gain_dn_per_e"]) == {"value", "std"}
     assert (tmp_path / "plot.svg").read_text().startswith("<?xml")
+
+
+@pytest.mark.slow
+def test_figures_are_written_to_a_folder_and_listed(run, scene, tmp_path):
+    figures = tmp_path / "figures"
+    code, out, _ = call(run, scene, tmp_path / "sensor.yaml", "--json", "--figures", figures, "--figure-format", "svg")
+    document = json.loads(out)
+    names = {"photon_transfer", "signal_to_noise", "linearity"}
+    assert (code, {Path(path).stem for path in document["figure_files"]}) == (0, names)
+    assert "read_noise_e" in document["figures"]
+    assert run("plot", tmp_path / "sensor.yaml", "-o", tmp_path / "again")[0] == 0
+    assert {path.stem for path in (tmp_path / "again").glob("*.png")} == names - {"linearity"}
 
 
 def test_the_same_frames_give_the_same_bytes_whatever_the_jobs(run, scene, tmp_path):

@@ -1,6 +1,7 @@
 """`camcal track`: what it reads and writes, what it says, and its exits."""
 
 import json
+from pathlib import Path
 
 import cv2
 import motion
@@ -168,6 +169,16 @@ def test_the_picture_has_a_line_for_the_track(run, files, tmp_path):
     picture = cv2.imread(str(tmp_path / "t_tag_3.png")).astype(int)
     blue, _, red = np.moveaxis(picture, 2, 0)
     assert np.sum(blue > red + 60) > 2000
+
+
+@pytest.mark.slow
+def test_every_object_has_its_figures(run, files, tmp_path):
+    words = ("--fps", 30, "--process-noise", "0.02,0.5", "--figures", tmp_path / "figures", "--json")
+    code, out, _ = run("track", files / "two.json", *words)
+    own = ("position", "rotation", "innovations", "trajectory_planes", "trajectory_space")
+    names = {f"tag_{number}_{name}.png" for number in (3, 5) for name in own}
+    assert (code, {Path(path).name for path in json.loads(out)["figure_files"]}) == (0, names)
+    assert names < {path.name for path in (tmp_path / "figures").iterdir()}
 
 
 def test_a_causal_track_starts_when_it_is_settled(run, files):

@@ -16,7 +16,7 @@ from camcal.stereo.truth import THRESHOLDS
 _REACH = 4.0  # px of the histogram to either side
 _BINS = 81
 _MOST = 1200  # px of a side that are drawn
-_LEVELS = (0.0, *THRESHOLDS, 8.0)
+_LEVELS = (0.0, 0.1, 0.25, *THRESHOLDS, 8.0)
 
 
 @dataclass(frozen=True, eq=False)
