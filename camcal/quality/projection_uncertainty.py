@@ -13,6 +13,7 @@ from camcal.cameras.directions import direction_displacements, in_hull
 from camcal.cameras.model import Camera
 from camcal.cameras.validity import ImageCircle
 from camcal.errors import InvalidInput
+from camcal.messages import Message
 
 GRID = (31, 23)
 
@@ -69,6 +70,18 @@ class ProjectionUncertainty:
                 found[f"{part}rms_px"] = float(np.sqrt(np.mean(self.std_rms[chosen] ** 2)))
                 found[f"{part}worst_px"] = float(self.std_worst[chosen].max())
         return found
+
+
+def too_uncertain(found: ProjectionUncertainty, most: float | None) -> tuple[Message, ...]:
+    """Return the failure of a camera with a larger uncertainty than `most` (px), RMS over the area with corners, if that
+    is known; none without a limit.
+    """
+    figures = found.figures()
+    reached = figures.get("inside_rms_px", figures["rms_px"])
+    if most is None or reached <= most:
+        return ()
+    text = f"projection uncertainty {reached:.3g} px (limit {most:g} px)"
+    return (Message("projection_uncertainty", text, {"uncertainty_px": reached, "limit_px": most}),)
 
 
 def projection_uncertainty(

@@ -25,7 +25,7 @@ from camcal.messages import Message
 from camcal.options import command_line
 from camcal.progress import SILENT, Progress, warn_of
 from camcal.quality.assess import Assessment, assess
-from camcal.quality.projection_uncertainty import ProjectionUncertainty, projection_uncertainty
+from camcal.quality.projection_uncertainty import ProjectionUncertainty, projection_uncertainty, too_uncertain
 from camcal.raw.detection_image import COLOURS
 from camcal.report.calibration import as_data, candidates_data, uncertainty_data
 from camcal.run.outputs import writes
@@ -34,7 +34,7 @@ from camcal.targets.board import Board
 from camcal.targets.detection import BoardDetection
 from camcal.tasks.calibration.board_views import BoardViews, board_views
 from camcal.tasks.calibration.camera_result import Channel, camera_file, channel_figures
-from camcal.tasks.calibration.corner_refinement import RefinementSummary, refine_corners
+from camcal.tasks.calibration.corner_refinement import RefinementSummary, is_refined, refine_corners
 from camcal.tasks.calibration.image_circle_of_views import circle_lines, known_circle, with_circle
 from camcal.tasks.calibration.model_selection import Selection, select
 from camcal.tasks.calibration.options import CalibrateOptions
@@ -124,7 +124,7 @@ def calibrated(
     guess = _guess(options, progress)
     how = _solver_options(options, guess)
     seen = look()
-    looks_again = _looks_again(options, seen)
+    refined = is_refined(options.refine, seen.board, table=seen.table)
     how = replace(how, named_groups=name_groups([view.image for view in seen.detections.views]))
     seen = (
         seen
@@ -145,7 +145,7 @@ def calibrated(
         raise
     calibration, found, refinement = selection.calibration, selection.warnings, None
     progress.finish()
-    if looks_again:
+    if refined:
         seen, calibration, refinement, failed = _refined(seen, calibration, how, options, progress)
         found += failed
         if options.save_detections:
@@ -184,15 +184,11 @@ def calibrated(
 
 def require_good(report: CalibrateReport, options: CalibrateOptions) -> None:
     """Raise GateFailed if the result is not what the options require; the camera file is written all the same."""
-    figures = report.uncertainty.figures()
-    reached = figures.get("inside_rms_px", figures["rms_px"])
     if options.require and not report.assessment.trustworthy:
         raise GateFailed.of(report.assessment.failures, where=f"--require {options.require}")
-    most = options.max_uncertainty
-    if most is not None and not reached <= most:
-        text = f"projection uncertainty {reached:.3g} px (limit {most:g} px)"
-        values = {"uncertainty_px": reached, "limit_px": most}
-        raise GateFailed.of([Message("projection_uncertainty", text, values)], where="--max-uncertainty")
+    failures = too_uncertain(report.uncertainty, options.max_uncertainty)
+    if failures:
+        raise GateFailed.of(failures, where="--max-uncertainty")
 
 
 def _write_figures(
@@ -207,17 +203,6 @@ def _write_figures(
     from camcal.report.figures.calibration import calibration_plots
 
     return write_figures(options.figures, calibration_plots(calibration, uncertainty, candidates, circle))
-
-
-def _looks_again(options: CalibrateOptions, seen: BoardViews) -> bool:
-    """Return whether the images are to be examined once more. Raises InvalidInput if they should and cannot be."""
-    if options.refine is None:
-        return seen.board.has_saddle_corners and not seen.table
-    if options.refine and not seen.board.has_saddle_corners:
-        raise InvalidInput(f"--refine needs a board with checkerboard corners, not a {seen.board.words}")
-    if options.refine and seen.table:
-        raise InvalidInput("--refine needs images, not a detections file")
-    return options.refine
 
 
 def _refined(

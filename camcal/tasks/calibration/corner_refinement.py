@@ -10,10 +10,12 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.calibrate.intrinsics import Calibration, View
+from camcal.errors import InvalidInput
 from camcal.progress import Progress
 from camcal.raw.detection_image import read_detection_image
 from camcal.raw.options import ImageReadOptions
 from camcal.run.fanout import fan_out
+from camcal.targets.board import Board
 from camcal.targets.corners.measure import Expected, remeasure, seen_cells, signs
 from camcal.targets.detection import NEAR, BoardDetection, MaskedImage, size_relation
 from camcal.tasks.calibration.video_frames import Video
@@ -48,6 +50,20 @@ class RefinementSummary:
         """The line of the report."""
         noise = f"residual noise {self.sigma_before_px:.3f} px before, {self.sigma_after_px:.3f} px after"
         return f"corner refinement with the calibrated lens: {self.added} added, {self.removed} removed; {noise}"
+
+
+def is_refined(asked: bool | None, board: Board, *, table: bool) -> bool:
+    """Return whether the corners of images are to be measured again; asked: by the user, None for where it can be.
+
+    table: the corners come from a detections file. Raises InvalidInput if it is asked for and cannot be.
+    """
+    if asked is None:
+        return board.has_saddle_corners and not table
+    if asked and not board.has_saddle_corners:
+        raise InvalidInput(f"--refine needs a board with checkerboard corners, not a {board.words}")
+    if asked and table:
+        raise InvalidInput("--refine needs images, not a detections file")
+    return asked
 
 
 @dataclass(frozen=True, eq=False)

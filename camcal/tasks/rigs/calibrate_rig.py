@@ -22,13 +22,13 @@ from camcal.messages import Message
 from camcal.options import command_line
 from camcal.progress import SILENT, Progress, warn_of
 from camcal.quality.assess import Assessment, assess
-from camcal.quality.projection_uncertainty import ProjectionUncertainty, projection_uncertainty
+from camcal.quality.projection_uncertainty import ProjectionUncertainty, projection_uncertainty, too_uncertain
 from camcal.report.calibration import as_data, candidates_data, uncertainty_data
 from camcal.report.rig import motion_data, transform_data
 from camcal.run.outputs import writes
 from camcal.targets.detection import BoardDetection
 from camcal.tasks.calibration.camera_result import camera_entry, image_record, is_shaped
-from camcal.tasks.calibration.corner_refinement import RefinementSummary, refine_corners
+from camcal.tasks.calibration.corner_refinement import RefinementSummary, is_refined, refine_corners
 from camcal.tasks.calibration.image_circle_of_views import known_circle
 from camcal.tasks.calibration.video_frames import as_data as frame_data
 from camcal.tasks.figure_files import figure_data, write_figures
@@ -124,7 +124,7 @@ def calibrated(
     require_sizes(given, seen.captures)
     if settings.lenses == PRIOR:
         require_other_images(given, seen.captures)
-    looks_again = _looks_again(settings, seen)
+    refined = is_refined(settings.refine, seen.board, table=seen.table)
     seen = with_circles(seen, settings)
     circles = {name: circle for name in names if (circle := _circle(seen, name)) is not None}
     if settings.save_detections:
@@ -148,7 +148,7 @@ def calibrated(
         calibration = _solved(seen, how, progress, "solving with other lens models")
     refinement: RefinementSummary | None = None
     found: tuple[Message, ...] = ()
-    if looks_again:
+    if refined:
         seen, calibration, refinement, found = _refined(seen, calibration, how, settings, progress)
         if settings.save_detections:
             detections.write(settings.save_detections, seen.detections())
@@ -189,15 +189,10 @@ def require_good(report: RigReport, settings: RigSettings) -> None:
     """Raise GateFailed if the result is not what the settings require; the rig file is written all the same."""
     if settings.require and not report.trustworthy:
         raise GateFailed.of(report.failures, where=f"--require {settings.require}")
-    failures = []
-    most = np.inf if settings.max_uncertainty is None else settings.max_uncertainty
-    for name, result in report.cameras.items():
-        figures = result.uncertainty.figures()
-        reached = figures.get("inside_rms_px", figures["rms_px"])
-        if not reached <= most:
-            text = f"projection uncertainty {reached:.3g} px (limit {most:g} px)"
-            values = {"uncertainty_px": reached, "limit_px": most}
-            failures.append(Message("projection_uncertainty", text, values, where=name))
+    most = settings.max_uncertainty
+    failures = [
+        each.at(name) for name, result in report.cameras.items() for each in too_uncertain(result.uncertainty, most)
+    ]
     if failures:
         raise GateFailed.of(failures, where="--max-uncertainty")
 
@@ -215,17 +210,6 @@ def _write_figures(
     uncertainties = {name: result.uncertainty for name, result in results.items()}
     circles = {name: result.circle for name, result in results.items() if result.circle is not None}
     return write_figures(settings.figures, rig_plots(calibration, uncertainties, circles, candidates))
-
-
-def _looks_again(settings: RigSettings, seen: RigViews) -> bool:
-    """Return whether the images are to be examined once more. Raises InvalidInput if they should and cannot be."""
-    if settings.refine is None:
-        return seen.board.has_saddle_corners and not seen.table
-    if settings.refine and not seen.board.has_saddle_corners:
-        raise InvalidInput(f"--refine needs a board with checkerboard corners, not a {seen.board.words}")
-    if settings.refine and seen.table:
-        raise InvalidInput("--refine needs images, not a detections file")
-    return settings.refine
 
 
 def _circle(seen: RigViews, name: str) -> ImageCircle | None:
