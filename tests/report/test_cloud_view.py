@@ -197,6 +197,22 @@ def test_colouring_by_depth_changes_the_points_and_shows_a_legend(squares):
     assert after[far[1], far[0]].tolist() == [122, 4, 3]
 
 
+def test_the_legend_covers_the_status_line_at_no_width(squares):
+    squares.evaluate("camcalView.colourBy('sigma')")
+    box = (
+        "(({{left, right, top, bottom}}) => [left, right, top, bottom])"
+        "(document.querySelector('{}').getBoundingClientRect())"
+    )
+    try:
+        for width in (400, 700, 1000):
+            squares.resize(width, 480)
+            legend, footer = (squares.evaluate(box.format(part)) for part in ("#legend", "footer"))
+            assert footer[1] <= legend[0], (width, footer, legend)
+            assert legend[1] <= width
+    finally:
+        squares.resize(*SIZE)
+
+
 def test_colouring_by_sigma_and_gray(squares):
     place = [round(part) for part in project(squares, IN_RED)]
     squares.evaluate("camcalView.colourBy('sigma')")
