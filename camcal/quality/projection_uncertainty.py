@@ -73,8 +73,9 @@ class ProjectionUncertainty:
 
 
 def too_uncertain(found: ProjectionUncertainty, most: float | None) -> tuple[Message, ...]:
-    """Return the failure of a camera with a larger uncertainty than `most` (px), none without a limit: RMS over the area
-    with corners, or the whole image where that is not known.
+    """Return the failure of a camera with a larger uncertainty than `most` (px), none without a limit.
+
+    It is the RMS over the area with corners, or over the whole image where that is not known.
     """
     figures = found.figures()
     reached = figures.get("inside_rms_px", figures["rms_px"])
