@@ -31,7 +31,7 @@ def board_height(surface: Surface) -> Plot | None:
     if height is None:
         return None
     across = float(np.ptp(height))
-    most = float(np.abs(height).max())
+    most = _full_colour(surface, height)
 
     def draw(figure: FigureBase, _: Theme) -> None:
         axes = figure.subplots()
@@ -61,12 +61,22 @@ def board_shape(surface: Surface) -> Plot | None:
     if height is None:
         return None
     side = float(np.ptp(points[:, :2], axis=0).max())
+    most = _full_colour(surface, height)
     factor = round_down(min(_RELIEF * side / float(np.ptp(height)), _MOST_RELIEF))
 
     def draw(figure: FigureBase, theme: Theme) -> None:
         axes = space_axes(figure, theme)
         # z of a board points away from its printed side: up is towards the camera
-        axes.plot_trisurf(*points[:, :2].T, factor * height, cmap=DIVERGING_MAP, lw=0.2, edgecolor=theme.ink, alpha=0.9)
+        axes.plot_trisurf(
+            *points[:, :2].T,
+            factor * height,
+            cmap=DIVERGING_MAP,
+            vmin=-factor * most,
+            vmax=factor * most,
+            lw=0.2,
+            edgecolor=theme.ink,
+            alpha=0.9,
+        )
         axes.set_xlabel(f"x, {unit}")
         axes.set_ylabel(f"y, {unit}")
         axes.set_zlabel(f"z x {factor:g}, {unit}")
@@ -82,6 +92,11 @@ def board_shape(surface: Surface) -> Plot | None:
         draw,
         (WIDTH, 3.8),
     )
+
+
+def _full_colour(surface: Surface, height: Array) -> float:
+    """Return the height of full colour, mm or squares; what is within its uncertainty is pale."""
+    return max(float(np.abs(height).max()), 2 * length_unit(surface.board)[0] * surface.deflection_std)
 
 
 def _significance(surface: Surface) -> str:
