@@ -22,7 +22,7 @@ from camcal.targets.board import Board
 SHIFT, TURN = Effect("shift", 3, of_board=True), Effect("turn", 3, of_board=True)
 MOTION = (SHIFT, TURN)
 KINDS = (*EFFECTS, *MOTION)
-_MOTION_DOF = 1.0  # as SHARE_DOF: a board held by hand is still in most captures, and moves far in some
+MOTION_DOF = 1.0  # as SHARE_DOF: a board held by hand is still in most captures, and moves far in some
 _FLEX, _SHIFT, _TURN = KINDS.index(FLEX), KINDS.index(SHIFT), KINDS.index(TURN)
 
 
@@ -70,7 +70,7 @@ class CaptureEffects:
         places = {owner: place for place, owner in enumerate(dict.fromkeys(owners))}
         share_of = np.array([places[owner] for owner in owners], np.intp)
         share_dof = np.full(len(places), SHARE_DOF)
-        share_dof[share_of[[KINDS[kind] in MOTION for _, kind in self.kinds]]] = _MOTION_DOF
+        share_dof[share_of[[KINDS[kind] in MOTION for _, kind in self.kinds]]] = MOTION_DOF
         return EffectScales(np.array(typical), np.ones((captures, len(places))), np.array(typical), share_of, share_dof)
 
     def of_kinds(self, *effects: Effect) -> Array:

@@ -12,7 +12,14 @@ from camcal.calibrate.fit import displacements
 from camcal.calibrate.intrinsics import Solved
 from camcal.calibrate.jackknife import covariance_of, image_metric, influence, weights_of
 from camcal.calibrate.problem import POSE, State
-from camcal.calibrate.rigs.effects import CaptureEffects, motion_columns, moved_poses, moved_views, with_motion
+from camcal.calibrate.rigs.effects import (
+    MOTION_DOF,
+    CaptureEffects,
+    motion_columns,
+    moved_poses,
+    moved_views,
+    with_motion,
+)
 from camcal.calibrate.rigs.epipolar import between_captures
 from camcal.calibrate.rigs.estimator import RigEstimate, estimate_rig
 from camcal.calibrate.rigs.links import CameraPoses, Placed, motions
@@ -245,7 +252,7 @@ def _averaged(
     if metric is None:  # a lens that holds nowhere, as that of a wrong board may
         estimates, share = (plain,), 0.0
         metric = np.eye(plain.problem.board_start)
-    left_out = [influence(own) for own in estimates]
+    left_out = [_with_shares(influence(own), own) for own in estimates]
     weights = weights_of(left_out, metric, share)
     evidence, blocks = max(share, float(plain.motion)), _blocks(plain.problem)
     covariance = covariance_of(estimates, left_out, metric, weights, evidence, blocks)
@@ -299,6 +306,20 @@ def _metric(plain: RigEstimate, sizes: Sequence[tuple[int, int]]) -> Array | Non
             own = np.einsum("dim,m,djm->ij", slopes, weights, slopes) / weights.sum()
             result[np.ix_(columns, columns)] = own
     return result
+
+
+def _with_shares(left_out: Array, estimate: RigEstimate) -> Array:
+    """Return what leaving out captures changes (G, D) where the heavy-tailed motion of the others follows.
+
+    An observation of a Student distribution has (ν + p) / (ν + p + 2) of the information that its weight says.
+    Source: Lange, Little & Taylor, Robust statistical modeling using the t distribution, JASA 84, 1989, appendix B.
+    """
+    if not estimate.motion:
+        return left_out
+    factors = np.ones(left_out.shape[1])
+    of_poses = slice(estimate.problem.lens_starts[-1], estimate.problem.board_start)
+    factors[of_poses] = (MOTION_DOF + POSE + 2) / (MOTION_DOF + POSE)
+    return left_out * factors
 
 
 def _blocks(problem: RigProblem) -> list[slice]:
