@@ -1,6 +1,7 @@
 """The layout of a rig: derivatives by differences, equations by parts, what is left open by dense matrices."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from camcal.calibrate.rigs.effects import (
     moved_views,
     with_motion,
 )
+from camcal.calibrate.rigs.fit import with_shares
 from camcal.calibrate.rigs.posterior import part_posteriors
 from camcal.calibrate.rigs.problem import LensPrior, RigProblem, RigState
 from camcal.cameras.catalogue import model_named
@@ -259,3 +261,13 @@ def test_coefficients_of_a_bending_board_are_those_of_the_capture():
     assert len(layout.effect) == 2 * len(effect) - len(shared) + POSE
     assert layout.of_kinds(SHIFT, TURN).sum() == POSE
     assert sorted(np.concatenate(layout.slots).tolist()) == sorted([*range(len(layout.effect)), *shared])
+
+
+@pytest.mark.parametrize("motion", [False, True])
+def test_what_a_capture_changes_is_larger_where_the_shares_of_the_others_follow(motion):
+    left_out = np.random.default_rng(1).normal(size=(9, 2 * 4 + 6 + 3))
+    problem = SimpleNamespace(lens_starts=(0, 4, 8), board_start=14)
+    found = with_shares(left_out, SimpleNamespace(motion=motion, problem=problem))
+    # (1 + 6 + 2) / (1 + 6) for six coordinates of a Student distribution of one degree of freedom
+    factors = np.where((np.arange(17) >= 8) & (np.arange(17) < 14), 9 / 7 if motion else 1.0, 1.0)
+    np.testing.assert_allclose(found, left_out * factors, rtol=1e-12)

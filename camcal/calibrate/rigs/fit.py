@@ -252,7 +252,7 @@ def _averaged(
     if metric is None:  # a lens that holds nowhere, as that of a wrong board may
         estimates, share = (plain,), 0.0
         metric = np.eye(plain.problem.board_start)
-    left_out = [_with_shares(influence(own), own) for own in estimates]
+    left_out = [with_shares(influence(own), own) for own in estimates]
     weights = weights_of(left_out, metric, share)
     evidence, blocks = max(share, float(plain.motion)), _blocks(plain.problem)
     covariance = covariance_of(estimates, left_out, metric, weights, evidence, blocks)
@@ -308,7 +308,7 @@ def _metric(plain: RigEstimate, sizes: Sequence[tuple[int, int]]) -> Array | Non
     return result
 
 
-def _with_shares(left_out: Array, estimate: RigEstimate) -> Array:
+def with_shares(left_out: Array, estimate: RigEstimate) -> Array:
     """Return what leaving out captures changes (G, D) where the heavy-tailed motion of the others follows.
 
     An observation of a Student distribution has (ν + p) / (ν + p + 2) of the information that its weight says.
