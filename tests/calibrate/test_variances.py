@@ -36,7 +36,7 @@ def test_scales_start_at_a_third_of_the_noise_and_a_ten_thousandth_of_the_board(
 
 
 def test_a_coefficient_has_the_variance_of_its_effect_times_the_share_of_its_view():
-    found = EffectScales(np.array([4.0, 9.0]), np.array([[1.0, 1.0], [0.25, 4.0]]), np.ones(2))
+    found = EffectScales(np.array([4.0, 9.0, 1.0]), np.array([[1.0, 1.0, 1.0], [0.25, 4.0, 1.0]]), np.ones(3))
     np.testing.assert_allclose(found.std(np.array([0, 1, 1])), [[2, 3, 3], [1, 6, 6]], rtol=1e-12)
 
 
