@@ -96,16 +96,18 @@ def image_metric(displacements: Array) -> Array:
     return np.asarray(flat.T @ flat / len(displacements))
 
 
-def weights_of(left_out: Sequence[Array], metric: Array, evidence: float = 1.0) -> Array:
+def weights_of(left_out: Sequence[Array], metric: Array, evidence: float = 1.0, products: Array | None = None) -> Array:
     """Return the weights of estimates, none negative, that sum to one.
 
     left_out: of each estimate (G, D), see `influence`. metric: (K, K) of the lens, the first K of D parameters.
-    evidence: 0…1, the share of the weights; the rest goes to the first estimate.
+    evidence: 0…1, the share of the weights; the rest goes to the first estimate. products: (G, k, k) px² of what is to
+    be small, view by view; None: the scatter of the estimates over the image.
     Each estimate's own scatter counts once more with ten views, and less with more of them: from a few views it is not
     known well, and weights fitted to chance would vary more than equal ones.
     """
-    spreads = _spreads(left_out, metric)
-    return _weighted_by_evidence(_least_spread(spreads.sum(axis=0), len(spreads)), evidence)
+    spreads = _spreads(left_out, metric) if products is None else products
+    weights = _least_spread(spreads.sum(axis=0), len(spreads), noisy=products is not None)
+    return _weighted_by_evidence(weights, evidence)
 
 
 def _spreads(left_out: Sequence[Array], metric: Array) -> Array:
@@ -114,10 +116,16 @@ def _spreads(left_out: Sequence[Array], metric: Array) -> Array:
     return np.asarray(np.einsum("agi,ij,bgj->gab", moved, metric, moved, optimize=True))
 
 
-def _least_spread(spread: Array, views: int) -> Array:
-    """Return the weights of estimates for products (k, k) summed over a number of views."""
+def _least_spread(spread: Array, views: int, *, noisy: bool = False) -> Array:
+    """Return the weights of estimates for products (k, k) summed over a number of views; noisy: which have something in
+    common that no weights can take away.
+    """
+    finest = _FINEST * np.trace(spread) * np.eye(len(spread))
+    if noisy:
+        ones = np.ones(len(spread))
+        spread = spread - 1 / (ones @ np.linalg.solve(spread + finest, ones))
     spread = spread + _ALIKE / views * np.diag(np.diag(spread))
-    root = np.linalg.cholesky(spread + _FINEST * np.trace(spread) * np.eye(len(spread)))
+    root = np.linalg.cholesky(spread + finest)
     # the minimum of wᵀ S w over weights that sum to one, as least squares with a heavy row for the sum
     heavy = _HEAVY * np.sqrt(np.trace(spread))
     system = np.vstack([root.T, np.full(len(spread), heavy)])
@@ -136,17 +144,20 @@ def covariance_of(
     weights: Array,
     evidence: float = 1.0,
     blocks: Sequence[slice] = (slice(None),),
+    products: Array | None = None,
 ) -> Array:
     """Return the covariance (D, D) of the weighted parameters, lens and terms of the board's shape.
 
     Its scale over the image is that of the scatter from view to view and of the estimates about their mean, no less
-    than the estimates claim; blocks: of the metric's parameters, each with a scale of its own. Its shape is that of the
+    than the estimates claim; blocks: of the metric's parameters, each with a scale of its own; products: as of
+    `weights_of`. Its shape is that of the
     same scatter, which G views determine in as many directions only, drawn towards the claimed one as by D further
     views. Without evidence for errors within views, the claimed one is right and CR3 too large, unless the views are
     too few to show such errors.
     """
     claimed = np.tensordot(weights, np.stack([own.posterior.shared for own in estimates]), axes=1)
-    scatter = _scatter(estimates, left_out, metric, weights, evidence)
+    others = _weights_of_others(left_out, metric, evidence, products)
+    scatter = _scatter(estimates, left_out, weights, others)
     lens, views, size = len(metric), len(left_out[0]), len(claimed)
 
     def ratio(chosen: slice) -> float:
@@ -166,17 +177,20 @@ def covariance_of(
     return np.asarray(doubted * mixed + (1 - doubted) * claimed)
 
 
-def _scatter(
-    estimates: Sequence[Solution], left_out: Sequence[Array], metric: Array, weights: Array, evidence: float
-) -> Array:
-    """Return the scatter (D, D) from view to view, each view with the weights that the others give, as weights that
-    suit all views make their scatter small; that of the estimates, as what they disagree in is not known better; and
-    what priors leave open, which no view shows.
-    """
-    spreads = _spreads(left_out, metric)
-    others = np.array(
-        [_weighted_by_evidence(_least_spread(spreads.sum(axis=0) - own, len(spreads) - 1), evidence) for own in spreads]
+def _weights_of_others(left_out: Sequence[Array], metric: Array, evidence: float, products: Array | None) -> Array:
+    """Return the weights (G, k) that the other views than each give; arguments as of `weights_of`."""
+    spreads = _spreads(left_out, metric) if products is None else products
+    total, others, noisy = spreads.sum(axis=0), len(spreads) - 1, products is not None
+    return np.array(
+        [_weighted_by_evidence(_least_spread(total - own, others, noisy=noisy), evidence) for own in spreads]
     )
+
+
+def _scatter(estimates: Sequence[Solution], left_out: Sequence[Array], weights: Array, others: Array) -> Array:
+    """Return the scatter (D, D) from view to view, each view with the weights (G, k) that the others give, as weights
+    that suit all views make their scatter small; that of the estimates, as what they disagree in is not known better;
+    and what priors leave open, which no view shows.
+    """
     moved = np.einsum("ga,agi->gi", others, np.stack(left_out))
     shared = np.array([own.problem.shared_values(own.state) for own in estimates])
     apart = shared - weights @ shared

@@ -356,6 +356,22 @@ def test_blocks_of_the_covariance_have_the_scale_of_their_own_scatter():
     assert np.linalg.eigvalsh(found).min() > 0
 
 
+def test_weights_by_predictions_do_not_depend_on_the_noise_that_all_estimates_have_in_common():
+    rng = np.random.default_rng(23)
+    metric, moved = metric_of(rng), drawn(rng, 1.0, 1.0, 1.0)
+    own = np.array([1.0, 2.0, 3.0])[:, None] * rng.normal(size=(3, 40 * VIEWS))
+    found = []
+    for noise in (0.0, 30.0):
+        # at right angles to the errors of the estimates: what is left of chance would count
+        common = rng.normal(size=own.shape[1])
+        common -= own.T @ np.linalg.solve(own @ own.T, own @ common)
+        errors = (own + noise * common).reshape(3, VIEWS, -1)
+        found.append(weights_of(moved, metric, products=np.einsum("avn,bvn->vab", errors, errors)))
+    np.testing.assert_allclose(found[0], found[1], atol=1e-5)
+    assert found[0][0] > found[0][1] > found[0][2]
+    assert weights_of(moved, metric)[2] > found[0][2], "by the scatter of the estimates they are alike"
+
+
 def test_many_views_give_the_covariance_its_shape():
     rng = np.random.default_rng(21)
     metric, (moved,) = metric_of(rng), drawn(rng, 1.0, views=500)

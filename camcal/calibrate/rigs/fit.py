@@ -20,7 +20,7 @@ from camcal.calibrate.rigs.effects import (
     moved_views,
     with_motion,
 )
-from camcal.calibrate.rigs.epipolar import between_captures
+from camcal.calibrate.rigs.epipolar import between_captures, left_out_errors
 from camcal.calibrate.rigs.estimator import RigEstimate, estimate_rig
 from camcal.calibrate.rigs.links import CameraPoses, Placed, motions
 from camcal.calibrate.rigs.orientation import best_turns_of_captures, composed, turned
@@ -253,9 +253,10 @@ def _averaged(
         estimates, share = (plain,), 0.0
         metric = np.eye(plain.problem.board_start)
     left_out = [with_shares(influence(own), own) for own in estimates]
-    weights = weights_of(left_out, metric, share)
+    products = None if plain.motion or len(estimates) == 1 else _prediction_products(estimates, left_out)
+    weights = weights_of(left_out, metric, share, products)
     evidence, blocks = max(share, float(plain.motion)), _blocks(plain.problem)
-    covariance = covariance_of(estimates, left_out, metric, weights, evidence, blocks)
+    covariance = covariance_of(estimates, left_out, metric, weights, evidence, blocks, products)
     state = plain.state
     if len(estimates) > 1:
         state = _mean([own.state for own in estimates], weights)
@@ -306,6 +307,24 @@ def _metric(plain: RigEstimate, sizes: Sequence[tuple[int, int]]) -> Array | Non
             own = np.einsum("dim,m,djm->ij", slopes, weights, slopes) / weights.sum()
             result[np.ix_(columns, columns)] = own
     return result
+
+
+def _prediction_products(estimates: Sequence[RigEstimate], left_out: Sequence[Array]) -> Array | None:
+    """Return the products (G, k, k), px², of the epipolar errors of each capture by what k estimates without it say;
+    None where no capture is seen by two cameras.
+
+    How far an estimate moves tells how good it is for one camera; lenses and poses of a rig move together.
+    Source: Wolpert, Stacked generalization, Neural Networks 5, 1992.
+    """
+    counted = estimates[0].problem.parts  # whose weights say which corners count
+    found = [
+        left_out_errors(replace(own.problem, parts=counted), own.state, changes)
+        for own, changes in zip(estimates, left_out, strict=True)
+    ]
+    captures, errors = found[0][0], np.stack([own for _, own in found])
+    errors = np.where(np.isfinite(errors).all(axis=0), errors, 0.0)
+    groups = [errors[:, captures == capture] for capture in range(len(left_out[0]))]
+    return np.stack([own @ own.T for own in groups]) / len(captures) if errors.any() else None
 
 
 def with_shares(left_out: Array, estimate: RigEstimate) -> Array:
