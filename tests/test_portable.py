@@ -68,8 +68,9 @@ def _said(node: ast.AST) -> str | None:
 
 def _opens_text(call: ast.Call) -> bool:
     """Return whether a call opens a file for text in whatever encoding a system prefers."""
-    named = ast.unparse(call.func).split(".")
-    if named[-1] not in _TEXT_FILES or named[0] in ("files", "os", "laspy", "self"):
+    last = getattr(call.func, "attr", getattr(call.func, "id", ""))
+    named = ast.unparse(call.func).split(".") if last in _TEXT_FILES else [last]
+    if last not in _TEXT_FILES or named[0] in ("files", "os", "laspy", "self"):
         return False
     values = [*call.args, *(word.value for word in call.keywords)]
     binary = any(isinstance(each, ast.Constant) and each.value in ("rb", "wb", "r+b", "xb") for each in values)

@@ -57,6 +57,7 @@ def test_few_views_of_a_board_with_print_errors_have_the_noise_that_they_have():
     assert found.noise.views.max() < 2 * found.noise.views.min()
 
 
+@pytest.mark.slow
 def test_points_solved_for_in_turn_and_together_lead_to_the_same_lens(printed, monkeypatch):
     problem, state = started(*printed)
     free = AdditionalParameters(smooth=True, points=True)

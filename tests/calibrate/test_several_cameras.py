@@ -50,6 +50,7 @@ def folders(found):
     return tuple({image[0] for image in group} for group in found.groups)
 
 
+@pytest.mark.slow
 def test_of_many_views_all_those_of_the_second_camera_are_named():
     """More views than are looked at first; of one camera, nothing is found."""
     found = found_in(mixed(60, 20, 1250.0)).two_cameras
@@ -80,6 +81,7 @@ def test_the_verdict_names_both_groups(scene):
     assert failure.text.endswith("calibrate each group separately")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("focal", [600.0, 2400.0])
 def test_lenses_so_different_that_nothing_fits_end_without_a_result_and_both_groups_are_named(focal):
     views = mixed(12, 6, focal)
@@ -105,6 +107,7 @@ def test_views_are_refused_for_two_cameras_where_these_are_clear(ratio, refused)
     require_one_camera(None)
 
 
+@pytest.mark.slow
 def test_cameras_that_differ_little_are_told_by_their_names_where_their_lenses_do_not_tell_them():
     views = mixed(10, 10, 1205.0, (794.0, 604.0))
     assert not {"several_cameras", "several_cameras_by_name"} & codes(views)
@@ -176,6 +179,7 @@ def test_a_lens_that_is_given_is_not_looked_for(scene):
     assert calibrate(mixed(10, 5, 1215.0), scene.board, known).two_cameras is None
 
 
+@pytest.mark.slow
 def test_a_large_board_of_many_views_is_taken_in_parts(monkeypatch):
     """Parts of the views give what all of them give at once."""
     board = Board("chessboard", 9, 6, 0.040)

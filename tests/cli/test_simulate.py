@@ -57,6 +57,7 @@ def _moved(points, row):
     return Pose.from_vector(row[7:10], row[:3]).apply(points)
 
 
+@pytest.mark.slow
 def test_the_same_options_give_the_same_bytes_whatever_the_jobs(run, tmp_path):
     for name, jobs in (("one", 1), ("two", 2)):
         run("simulate", BOARD, "-o", tmp_path / name, *SMALL, "--jobs", jobs)

@@ -43,6 +43,7 @@ def rounded(value):
     return [rounded(item) for item in value] if isinstance(value, list) else value
 
 
+@pytest.mark.slow
 @settings(max_examples=50)
 @given(trees)
 def test_pyyaml_and_our_reader_read_back_what_was_written(tree):

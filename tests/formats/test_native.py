@@ -514,6 +514,7 @@ def tree(tmp_path_factory):
     return yaml.load(path.read_text(encoding="utf-8"), Loader=yaml.CSafeLoader)
 
 
+@pytest.mark.slow
 @given(st.data())
 def test_a_file_with_any_one_value_exchanged_is_read_or_refused(tmp_path_factory, tree, data):
     changed = place = copy.deepcopy(tree)

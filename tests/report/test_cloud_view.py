@@ -169,6 +169,7 @@ def test_two_clicks_measure_the_true_distance(squares):
     assert squares.evaluate("document.getElementById('measured').hidden")
 
 
+@pytest.mark.slow
 def test_the_sigma_of_a_distance_is_that_of_both_points_along_it(squares):
     points, _, sigma = two_squares()
     first, second = 3000, 9000
@@ -251,6 +252,7 @@ def project_at_start(browser, index):
     return project(browser, index)
 
 
+@pytest.mark.slow
 def test_two_fingers_zoom(squares):
     def touch(kind, half):
         points = (
@@ -289,6 +291,7 @@ def test_a_dark_desktop_has_a_dark_page(squares):
     assert (light > 600, dark < 150) == (True, True)
 
 
+@pytest.mark.slow
 def test_a_cloud_in_another_frame_looks_the_same(opened):
     points, colours, sigma = two_squares()
     optical = opened(scene_of(points, colours, sigma)).screenshot()

@@ -69,6 +69,7 @@ def test_a_stopped_run_into_the_folder_it_reads_from_is_repeated_as_it_was(start
     require_whole(mosaics, 12)
 
 
+@pytest.mark.slow
 def test_a_killed_run_is_repeated_and_its_temporary_files_are_swept(start_python, mosaics):
     process = start_python(*arguments(mosaics))
     wait_for(mosaics, TEMPORARY)

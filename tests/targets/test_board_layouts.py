@@ -78,6 +78,7 @@ def picture(board, turns):
     return ink
 
 
+@pytest.mark.slow
 @given(st.sampled_from(["circles", "asymmetric_circles", "aprilgrid", "dotted", "odd chessboard"]), SIZES, SIZES)
 def test_a_board_has_the_symmetries_that_its_drawing_has(kind, columns, rows):
     if kind in ("circles", "asymmetric_circles"):

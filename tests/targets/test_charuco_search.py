@@ -73,6 +73,7 @@ def test_it_is_told_in_an_image_that_is_turned(turns):
     assert is_like(layout, BOARD)
 
 
+@pytest.mark.slow
 def test_marker_ids_may_begin_anywhere():
     layout = search_charuco(shown(replace(BOARD, first_marker=17)), BOARD)
     assert (layout.first, layout.columns, layout.rows) == (17, 7, 6)
@@ -85,6 +86,7 @@ def test_a_hand_across_the_rows_hides_none_of_those_beyond_it():
     assert (layout.columns, layout.rows) == (7, 6)
 
 
+@pytest.mark.slow
 def test_rows_out_of_sight_are_those_that_were_stated():
     image = shown(BOARD)
     image[300:] = 120  # what hides the last row is not white

@@ -201,6 +201,7 @@ def test_other_boards_are_tried_on_a_few_images_only(tmp_path, monkeypatch):
     assert 0 < len(tried) <= which_board.SAMPLE
 
 
+@pytest.mark.slow
 def test_images_of_other_sizes_are_used_if_asked_for(tmp_path):
     for seed in range(4):
         write(tmp_path / f"{seed}.png", BOARD, seed)

@@ -27,6 +27,7 @@ def report(images):
     return camcal.calibrate_camera(images, BOARD, OPTIONS)
 
 
+@pytest.mark.slow
 def test_arrays_and_files_give_the_same_camera(scene, report):
     folder = str(scene.images[0].parent)
     from_files = camcal.calibrate_camera(folder, camcal.load_board(BOARD), OPTIONS)

@@ -45,6 +45,7 @@ def wrong(rotations, track):
     return np.degrees(so3.angle_between(track.rotations, rotations)) > 10
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2])
 def test_a_small_tag_is_not_followed_by_its_mirrored_poses(seed):
     rotations, _, views, poses = swaying(2.5, seed)
@@ -72,6 +73,7 @@ def test_a_frame_is_not_changed_by_frames_beyond_the_look_ahead():
     np.testing.assert_allclose(whole.translations[:35], part.translations[:35], atol=1e-7)  # usual distance
 
 
+@pytest.mark.slow
 def test_vibration_is_found_and_its_regions_hold():
     rotations, places, views, poses = swaying(0.8, 4, shake=3e-3)
     track = track_views(CAMERA, STAMPS, views, poses, TrackOptions())
@@ -87,6 +89,7 @@ def test_without_vibration_none_is_found():
     assert not track_views(CAMERA, STAMPS, views, poses, TrackOptions()).jitter_std.any
 
 
+@pytest.mark.slow
 def test_wrong_frames_are_left_out():
     rotations, _, views, poses = swaying(1.0, 6)
     views, poses = list(views), list(poses)
