@@ -10,6 +10,8 @@ from observed import PARAMETERS
 from camcal.calibrate.effects import EffectColumns
 from camcal.calibrate.problem import POSE, BoardProblem
 from camcal.calibrate.rigs.effects import (
+    KINDS,
+    MOTION_DOF,
     SHIFT,
     TURN,
     CaptureEffects,
@@ -261,6 +263,23 @@ def test_coefficients_of_a_bending_board_are_those_of_the_capture():
     assert len(layout.effect) == 2 * len(effect) - len(shared) + POSE
     assert layout.of_kinds(SHIFT, TURN).sum() == POSE
     assert sorted(np.concatenate(layout.slots).tolist()) == sorted([*range(len(layout.effect)), *shared])
+
+
+def test_shift_and_turn_have_one_share_and_every_other_effect_has_its_own():
+    from camcal.calibrate.effects import EFFECTS, SHARE_DOF
+
+    effect = np.repeat(np.arange(len(EFFECTS)), [each.columns for each in EFFECTS])
+    own = EffectColumns(np.zeros((2, len(effect), 1, 1)), effect)
+    layout = CaptureEffects.of([own, with_motion(own, np.zeros((2, POSE, 1, 1)))])
+    scales = layout.start(4, (0.1, 0.2), 0.3)
+    moving = [KINDS[kind] in (SHIFT, TURN) for _, kind in layout.kinds]
+    assert sum(moving) == 2
+    assert len(set(scales.share_of[moving])) == 1
+    others = scales.share_of[np.logical_not(moving)]
+    assert len(set(others)) == len(others) == 2 * 2 + 1
+    assert not set(others) & set(scales.share_of[moving])
+    np.testing.assert_array_equal(scales.share_dof[scales.share_of], np.where(moving, MOTION_DOF, SHARE_DOF))
+    assert scales.shares.shape == (4, 6)
 
 
 @pytest.mark.parametrize("motion", [False, True])

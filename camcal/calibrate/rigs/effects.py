@@ -66,12 +66,13 @@ class CaptureEffects:
             for camera, kind in self.kinds
         ]
         # a board that was held still between two exposures neither shifted nor turned
-        owners = [(KINDS[kind] not in MOTION and kind, camera) for camera, kind in self.kinds]
-        places = {owner: place for place, owner in enumerate(dict.fromkeys(owners))}
-        share_of = np.array([places[owner] for owner in owners], np.intp)
-        share_dof = np.full(len(places), SHARE_DOF)
-        share_dof[share_of[[KINDS[kind] in MOTION for _, kind in self.kinds]]] = MOTION_DOF
-        return EffectScales(np.array(typical), np.ones((captures, len(places))), np.array(typical), share_of, share_dof)
+        owners = [("motion" if KINDS[kind] in MOTION else KINDS[kind].name, camera) for camera, kind in self.kinds]
+        columns = list(dict.fromkeys(owners))
+        share_of = np.array([columns.index(owner) for owner in owners], np.intp)
+        share_dof = np.array([MOTION_DOF if name == "motion" else SHARE_DOF for name, _ in columns])
+        return EffectScales(
+            np.array(typical), np.ones((captures, len(columns))), np.array(typical), share_of, share_dof
+        )
 
     def of_kinds(self, *effects: Effect) -> Array:
         """Return which coefficients (m,) are of some effects, of whichever camera."""
