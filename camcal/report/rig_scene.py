@@ -7,9 +7,10 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.cameras.model import Camera, Rig
-from camcal.cameras.validity import ImageCircle, rim
+from camcal.cameras.validity import ImageCircle
 from camcal.geometry.pose import Pose
 from camcal.report.cloud_scene import CloudScene
+from camcal.report.frusta import board_outline, frustum
 from camcal.targets.board import Board
 
 FRAME = "x right, y down, z forward"
@@ -49,7 +50,7 @@ def rig_scene(
     places = [pose.translation for pose in rig.rig_T_camera.values()]
     parts += [(np.array([places[0], place]), _ORIGIN) for place in places[1:]]
     if board is not None and board.unit == "m":
-        outline = _outline(board)
+        outline = board_outline(board)[[0, 1, 2, 3, 0]]
         parts += [(pose.apply(outline), _BOARD) for pose in boards]
     extent = np.ptp(np.concatenate([line for line, _ in parts]), axis=0).max()
     step = max(extent / _SAMPLES, _total(parts) / _MOST)
@@ -75,21 +76,8 @@ def _frustum_length(rig: Rig, boards: Sequence[Pose]) -> float:
 
 
 def _frustum(camera: Camera, circle: ImageCircle | None, length: float) -> list[Array]:
-    """Return the lines (N, 3) of a camera's frustum: rays of its corners, the border of its image, and its axis."""
-    border = camera.unproject(rim(camera, _BORDER, circle)[0]).directions
-    border = length * border[np.isfinite(border).all(axis=1)]
-    origin = np.zeros(3)
-    lines = [np.vstack([border, border[:1]])] if len(border) else []
-    lines += [np.stack([origin, corner]) for corner in border[:: max(len(border) // 4, 1)][:4]]
-    return [*lines, np.array([origin, (0.0, 0.0, _AXIS * length)])]
-
-
-def _outline(board: Board) -> Array:
-    """Return the lines (N, 3) around the points of a board and across its first corner, m."""
-    points = board.points()[:, :2]
-    (left, top), (right, bottom) = points.min(axis=0), points.max(axis=0)
-    corners = [(left, top), (right, top), (right, bottom), (left, bottom), (left, top)]
-    return np.column_stack([np.array(corners), np.zeros(len(corners))])
+    """Return the lines (N, 3) of a camera's frustum and of its optical axis."""
+    return [*frustum(camera, length, _BORDER, circle), np.array([(0.0, 0.0, 0.0), (0.0, 0.0, _AXIS * length)])]
 
 
 def _total(parts: Sequence[tuple[Array, tuple[int, int, int]]]) -> float:

@@ -11,10 +11,10 @@ from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 from camcal.arrays import Array
 from camcal.calibrate.intrinsics import Calibration
 from camcal.cameras.model import Camera
-from camcal.cameras.validity import rim
 from camcal.messages import counted
 from camcal.report.figures.figure import COLOUR_MAP, DIVERGING_MAP, WIDTH, Plot, Theme, panel_height
 from camcal.report.figures.image_plane import colour_bar, round_down, scale_of
+from camcal.report.frusta import board_outline, frustum
 from camcal.targets.board import Board
 from camcal.targets.surface import Surface
 
@@ -22,6 +22,7 @@ _RELIEF = 0.25  # of the board's longer side: how high its largest deviation is 
 _MOST_RELIEF = 1000.0  # times: what is flatter is drawn flat
 _LEAST_EXTENT = 0.35  # of the longest axis in space: what a short one is drawn long
 _ZOOM, _LABEL_PAD = 0.9, 7.0  # of what stands in axes in space; points: labels stay inside, and off the numbers
+_PER_EDGE = 8  # rays of each edge of an image
 _LEAST = 1e-9  # of the board's longer side: a flat board
 
 
@@ -126,7 +127,7 @@ def poses(calibration: Calibration) -> Plot:
     """Return the camera and the boards in front of it, coloured by the residuals of their views."""
     used = [view for view in calibration.views if view.camera_T_board is not None]
     unit = calibration.board.unit
-    outline = outline_of(calibration.board)
+    outline = board_outline(calibration.board)
     boards = [view.camera_T_board.apply(outline) for view in used if view.camera_T_board is not None]
     rms = np.array([view.rms_px or np.nan for view in used])
     distances = np.array([np.linalg.norm(board[:4].mean(axis=0)) for board in boards])
@@ -142,7 +143,7 @@ def poses(calibration: Calibration) -> Plot:
         faces.set_edgecolor(theme.ink)
         faces.set_linewidth(0.4)
         axes.add_collection3d(faces)
-        lines = frustum(calibration.camera, 0.35 * float(np.median(distances)))
+        lines = camera_lines(calibration.camera, 0.35 * float(np.median(distances)))
         for line in lines:
             axes.plot(*upright(line).T, color=theme.series[1], lw=1.2)
         equal_aspect(axes, upright(np.concatenate([*boards, *lines])))
@@ -166,20 +167,9 @@ def _tilt(rotation: Array) -> float:
     return float(np.degrees(np.arccos(min(abs(float(rotation[2, 2])), 1.0))))
 
 
-def outline_of(board: Board) -> Array:
-    """Return the corners (4, 3) of the rectangle around a board's points."""
-    width, height = board.extent
-    return np.array([[0.0, 0, 0], [width, 0, 0], [width, height, 0], [0, height, 0]])
-
-
-def frustum(camera: Camera, length: float) -> Sequence[Array]:
-    """Return the lines (N, 3) of a camera's frustum, in its frame: its border and four edges."""
-    border = camera.unproject(rim(camera, 8)[0]).directions
-    border = length * border[np.isfinite(border).all(axis=1)]
-    if not len(border):
-        return [np.array([[0.0, 0, 0], [0, 0, length]])]
-    edges = border[:: max(len(border) // 4, 1)][:4]
-    return [np.vstack([border, border[:1]]), *(np.stack([np.zeros(3), edge]) for edge in edges)]
+def camera_lines(camera: Camera, length: float) -> Sequence[Array]:
+    """Return the lines (N, 3) that show a camera, in its frame: its frustum, or its axis where the lens has no rays."""
+    return frustum(camera, length, _PER_EDGE) or [np.array([[0.0, 0, 0], [0, 0, length]])]
 
 
 def upright(points: Array) -> Array:

@@ -17,7 +17,7 @@ from camcal.geometry.pose import Pose
 from camcal.messages import counted
 from camcal.quality.projection_uncertainty import ProjectionUncertainty
 from camcal.quality.rig_geometry import baseline
-from camcal.report.figures.board import equal_aspect, frustum, label_space, outline_of, space_axes, upright
+from camcal.report.figures.board import camera_lines, equal_aspect, label_space, space_axes, upright
 from camcal.report.figures.calibration import (
     NAMED,
     calibration_plots,
@@ -27,6 +27,7 @@ from camcal.report.figures.calibration import (
 )
 from camcal.report.figures.figure import DIVERGING_MAP, WIDTH, Plot, Theme, of_part
 from camcal.report.figures.image_plane import colour_bar
+from camcal.report.frusta import board_outline
 from camcal.report.uncertain import value_and_std
 from camcal.targets.board import Board
 
@@ -85,8 +86,10 @@ def rig_in_space(
     apart = np.linalg.norm(places[:, None] - places, axis=2)
     far = float(np.median([np.linalg.norm(pose.translation) for pose in rig_T_board])) if rig_T_board else 0.0
     length = max(_LENGTH * float(apart.max()) / max(len(places) - 1, 1), _OF_BOARDS * far) or 0.1
-    boards = [] if board is None else [pose.apply(outline_of(board)) for pose in rig_T_board]
-    lines = {name: [rig_T_camera[name].apply(line) for line in frustum(own, length)] for name, own in cameras.items()}
+    boards = [] if board is None else [pose.apply(board_outline(board)) for pose in rig_T_board]
+    lines = {
+        name: [rig_T_camera[name].apply(line) for line in camera_lines(own, length)] for name, own in cameras.items()
+    }
     words = f"{counted(len(cameras), 'camera')}, at most {apart.max():.4g} m apart"
     seen = f", and the board in {counted(len(boards), 'view')}" if boards else ""
 
