@@ -25,6 +25,7 @@ from typing import Any, Generic, NamedTuple
 
 from camcal.errors import InvalidInput, ItemsFailed, translated
 from camcal.progress import SILENT, Item, Outcome, Progress, Value
+from camcal.run.options import DEFAULT_BATCH, BatchOptions
 from camcal.run.process import available_cores, ended_by, heed_parent, worker_environment
 
 _THREAD_WINDOW = 2  # items submitted per thread: one at work, one waiting; more only holds memory
@@ -39,6 +40,7 @@ def fan_out(
     items: Iterable[Item],
     *,
     jobs: int | None = None,
+    batch: BatchOptions = DEFAULT_BATCH,
     processes: bool = False,
     what: str = "",
     progress: Progress = SILENT,
@@ -49,15 +51,17 @@ def fan_out(
     A CamcalError of `function` becomes the item's error; any other exception is a bug and is raised here.
     jobs: threads or processes, by default the cores this process may use; 1 works in this thread, as does a process
     that may start no other.
+    batch: its timeout takes the place of `timeout`; with its fail_fast the first error is the last outcome.
     processes: use worker processes; `function` and the items must then be picklable, and a worker that is killed,
     crashes or takes longer than `timeout` seconds costs its item only (ItemsFailed) and is replaced.
     OpenCV and BLAS have one thread per worker, so that results do not depend on `jobs`.
-    Raises InvalidInput if jobs is less than 1, ValueError for a timeout without processes.
+    timeout: seconds for one item; it makes all work go to processes.
+    Raises InvalidInput if jobs is less than 1.
     """
     if jobs is not None and jobs < 1:
         raise InvalidInput(f"{jobs} jobs, need at least 1", where="jobs")
-    if timeout is not None and not processes:
-        raise ValueError("a thread cannot be stopped: a timeout needs processes=True")
+    timeout = timeout if batch.timeout is None else batch.timeout
+    processes = processes or timeout is not None  # a thread cannot be stopped
     total = len(items) if isinstance(items, Sized) else None
     count = jobs or available_cores()
     if total is not None:
@@ -70,17 +74,19 @@ def fan_out(
         outcomes = _WorkerPool(function, items, count, timeout).outcomes()
     else:
         outcomes = _threaded(function, items, count)
-    return _reported(outcomes, what, total, progress)
+    return _reported(outcomes, what, total, progress, batch.fail_fast)
 
 
 def _reported(
-    outcomes: Generator[Outcome[Item, Value]], what: str, total: int | None, progress: Progress
+    outcomes: Generator[Outcome[Item, Value]], what: str, total: int | None, progress: Progress, fail_fast: bool
 ) -> Iterator[Outcome[Item, Value]]:
     progress.start(what, total)
     try:
         for outcome in outcomes:
             progress.advance()
             yield outcome
+            if fail_fast and outcome.error is not None:
+                return
     finally:
         outcomes.close()
         progress.finish()

@@ -19,6 +19,7 @@ import pytest
 from camcal.errors import FileError, InvalidInput, ItemsFailed
 from camcal.messages import Message
 from camcal.run.fanout import fan_out, over_threads
+from camcal.run.options import BatchOptions
 from camcal.run.process import available_cores
 
 WAYS = [
@@ -198,11 +199,30 @@ def test_worker_processes_have_one_blas_thread_and_the_environment_is_put_back(m
     assert "OMP_NUM_THREADS" not in os.environ
 
 
-def test_no_jobs_and_a_timeout_for_threads_are_refused():
+def test_no_jobs_are_refused():
     with pytest.raises(InvalidInput, match="0 jobs"):
         fan_out(work.doubled, [1], jobs=0)
-    with pytest.raises(ValueError, match="processes=True"):
-        fan_out(work.doubled, [1], timeout=1.0)
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_a_time_limit_of_a_batch_stops_items_that_would_go_to_threads(jobs):
+    batch = BatchOptions(timeout=0.5)
+    outcomes = list(fan_out(work.hanging, range(3), jobs=jobs, batch=batch, timeout=1e6))
+    assert [outcome.value for outcome in outcomes] == [0, None, 2]
+    assert "took longer than 0.5 s" in str(outcomes[1].error)
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_the_first_error_is_the_last_outcome_of_a_batch_that_fails_fast(way):
+    outcomes = list(fan_out(work.refused, range(9), batch=BatchOptions(fail_fast=True), **way))
+    assert [outcome.item for outcome in outcomes] == [0, 1]
+    assert isinstance(outcomes[1].error, FileError)
+    assert children() == []
+
+
+def test_a_time_limit_below_a_millisecond_is_refused():
+    with pytest.raises(InvalidInput, match="'--timeout': 0 is less than 0.001"):
+        BatchOptions(timeout=0.0)
 
 
 def test_the_cores_available_are_at_least_one_and_not_more_than_the_machine_has():

@@ -20,6 +20,7 @@ from camcal.options import (
     Without,
 )
 from camcal.raw.options import AS_IMAGES, ImageReadOptions
+from camcal.run.options import DEFAULT_BATCH, BatchOptions
 from camcal.tasks.options import (
     BOARD_OPTION,
     CAMERA_FILE,
@@ -158,6 +159,7 @@ class DetectOptions(OptionsRecord):
     output: Annotated[Path | None, result_option(DETECTIONS)] = None
     recursive: Recursive = False
     jobs: Jobs = None
+    batch: Annotated[BatchOptions, Without(("timeout", "fail_fast", "resume", "scheduler"))] = DEFAULT_BATCH
     reading: Annotated[ImageReadOptions, Without(("colours",))] = AS_IMAGES
     frames: FrameOptions = BEST_FRAMES
     draw: Annotated[
@@ -226,6 +228,7 @@ class CalibrateOptions(OptionsRecord):
     image_size: ImageSize = None
     recursive: Recursive = False
     jobs: Jobs = None
+    batch: Annotated[BatchOptions, Without(("timeout", "fail_fast", "resume", "scheduler"))] = DEFAULT_BATCH
     reading: ImageReadOptions = AS_IMAGES
     frames: FrameOptions = BEST_FRAMES
     parts: Parts = False

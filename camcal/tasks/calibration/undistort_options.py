@@ -8,6 +8,7 @@ from camcal.errors import InvalidInput
 from camcal.files import STANDARD
 from camcal.images.options import JPEG_QUALITY, ViewOptions
 from camcal.options import INPUT, NUMBERS, OUTPUT, Argument, Option, OptionsRecord, Without, Written
+from camcal.run.options import DEFAULT_BATCH, BatchOptions
 from camcal.tasks.options import (
     CameraName,
     GivenCamera,
@@ -85,6 +86,7 @@ class UndistortOptions(OptionsRecord):
     quality: JpegQuality = JPEG_QUALITY
     recursive: Recursive = False
     jobs: Jobs = None
+    batch: Annotated[BatchOptions, Without(("timeout", "fail_fast", "resume", "scheduler"))] = DEFAULT_BATCH
     overwrite: Overwrite = False
 
     def __post_init__(self) -> None:

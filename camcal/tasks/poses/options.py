@@ -19,9 +19,11 @@ from camcal.options import (
     Option,
     OptionsRecord,
     ValueType,
+    Without,
     separated,
 )
 from camcal.parsing import parse_number
+from camcal.run.options import DEFAULT_BATCH, BatchOptions
 from camcal.tasks.options import (
     PICTURES,
     POSES,
@@ -85,6 +87,7 @@ class DetectionOptions(OptionsRecord):
     ] = False
     recursive: Recursive = False
     jobs: Jobs = None
+    batch: Annotated[BatchOptions, Without(("timeout", "fail_fast", "resume", "scheduler"))] = DEFAULT_BATCH
     repeated_ids: Annotated[
         str,
         Option(

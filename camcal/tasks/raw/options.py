@@ -16,10 +16,12 @@ from camcal.options import (
     Argument,
     Option,
     OptionsRecord,
+    Without,
     Written,
     separated,
 )
 from camcal.raw.options import NO_LAYOUT, Development, GivenLayout
+from camcal.run.options import DEFAULT_BATCH, BatchOptions
 from camcal.tasks.options import (
     CAMERA_FILE,
     FIGURES,
@@ -138,6 +140,7 @@ class DemosaicOptions(OptionsRecord):
     trust_pattern: Annotated[bool, Option("Skip the check of the pattern against the frame.", group=CHECKS)] = False
     recursive: Recursive = False
     jobs: Jobs = None
+    batch: Annotated[BatchOptions, Without(("timeout", "fail_fast", "resume", "scheduler"))] = DEFAULT_BATCH
     overwrite: Overwrite = False
 
     def __post_init__(self) -> None:

@@ -17,6 +17,7 @@ from camcal.options import (
     Without,
 )
 from camcal.raw.options import AS_IMAGES, ImageReadOptions
+from camcal.run.options import DEFAULT_BATCH, BatchOptions
 from camcal.tasks.calibration.options import (
     BEST_FRAMES,
     TRUSTWORTHY,
@@ -125,6 +126,7 @@ class RigSettings(OptionsRecord):
     image_size: ImageSize = None
     recursive: Recursive = False
     jobs: Jobs = None
+    batch: Annotated[BatchOptions, Without(("timeout", "fail_fast", "resume", "scheduler"))] = DEFAULT_BATCH
     reading: Annotated[ImageReadOptions, Without(("colours",))] = AS_IMAGES
     frames: FrameOptions = BEST_FRAMES
     parts: Parts = False

@@ -7,6 +7,7 @@ from typing import Annotated
 
 from camcal.errors import InvalidInput
 from camcal.options import CHECKS, INPUT, OUTPUT, SIZE, Argument, Option, OptionsRecord, ValueType, Without, Written
+from camcal.run.options import DEFAULT_BATCH, BatchOptions
 from camcal.stereo.options import MatchOptions
 from camcal.tasks.options import (
     NO_FIGURES,
@@ -142,6 +143,7 @@ class StereoCheckOptions(OptionsRecord):
     ] = None
     recursive: Recursive = False
     jobs: Jobs = None
+    batch: Annotated[BatchOptions, Without(("timeout", "fail_fast", "resume", "scheduler"))] = DEFAULT_BATCH
     overwrite: Overwrite = False
 
     def __post_init__(self) -> None:
@@ -193,6 +195,7 @@ class DisparityOptions(OptionsRecord):
     force: Force = False
     recursive: Recursive = False
     jobs: Jobs = None
+    batch: Annotated[BatchOptions, Without(("timeout", "fail_fast", "resume", "scheduler"))] = DEFAULT_BATCH
     overwrite: Overwrite = False
 
     def __post_init__(self) -> None:
@@ -287,6 +290,7 @@ class EvalOptions(OptionsRecord):
         ),
     ] = ()
     jobs: Jobs = None
+    batch: Annotated[BatchOptions, Without(("timeout", "fail_fast", "resume", "scheduler"))] = DEFAULT_BATCH
     figures: FigureOptions = NO_FIGURES
     overwrite: Overwrite = False
 

@@ -7,6 +7,7 @@ from typing import Annotated
 from camcal.errors import InvalidInput
 from camcal.images.options import JPEG_QUALITY
 from camcal.options import INPUT, OUTPUT, Argument, Option, OptionsRecord, Without
+from camcal.run.options import DEFAULT_BATCH, BatchOptions
 from camcal.stereo.rectify.options import RectifiedViewOptions
 from camcal.tasks.options import (
     FOLDER,
@@ -74,6 +75,7 @@ class RectifyOptions(OptionsRecord):
     quality: JpegQuality = JPEG_QUALITY
     recursive: Recursive = False
     jobs: Jobs = None
+    batch: Annotated[BatchOptions, Without(("timeout", "fail_fast", "resume", "scheduler"))] = DEFAULT_BATCH
     overwrite: Overwrite = False
 
     def __post_init__(self) -> None:

@@ -1,11 +1,12 @@
 """The options of `camcal stereo run`."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Annotated
 
 from camcal.errors import InvalidInput
 from camcal.options import INPUT, OUTPUT, Argument, Option, OptionsRecord, Without
+from camcal.run.options import DEFAULT_BATCH, BatchOptions
 from camcal.stereo.options import MatchOptions
 from camcal.stereo.rectify.options import RectifiedViewOptions
 from camcal.tasks.options import CAMERA_SUFFIXES, FOLDER, Jobs, Overwrite, Recursive, output_option
@@ -29,6 +30,7 @@ _CALIBRATION = (
     "image_size",
     "recursive",
     "jobs",
+    *(f"batch.{each.name}" for each in fields(BatchOptions)),
     *(f"reading.{each}" for each in (*_READING, "layout.align")),
     "frames.most",
     "frames.every",
@@ -89,6 +91,7 @@ class RunOptions(OptionsRecord):
     force: Force = False
     recursive: Recursive = False
     jobs: Jobs = None
+    batch: Annotated[BatchOptions, Without(("timeout", "fail_fast", "resume", "scheduler"))] = DEFAULT_BATCH
     overwrite: Overwrite = False
 
     def __post_init__(self) -> None:
