@@ -196,6 +196,9 @@ CODES: Mapping[str, Mapping[str, str]] = {
         "last_row": "the last row of a matrix is not 0 0 0 1",
         "strong_correlation": "two parameters are strongly correlated",
     },
+    "Batches": {
+        "stopped_at_failure": "items that were not begun after another one failed (--fail-fast)",
+    },
     "Installation": {
         "unusable_package": "a required package is missing or of another version",
         "not_installed": "camcal is not installed as a package",

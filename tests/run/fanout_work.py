@@ -64,9 +64,31 @@ def noted(folder: Path, number: int) -> int:
     return number
 
 
-def pid_then_hang(folder: Path, number: int) -> None:
+def pid_then_hang(folder: Path, number: int, array=None) -> None:
     (folder / f"{os.getpid()}").touch()
     time.sleep(HANG_S)
+
+
+class Sum:
+    """Adds arrays to an item, and says of every array whether it lies in the memory of a file."""
+
+    def __init__(self, arrays) -> None:
+        self.arrays = arrays
+
+    def __call__(self, number: int) -> tuple[float, list[bool]]:
+        total = number + sum(float(array.sum()) for array in self.arrays)
+        return total, [mapped(array) for array in self.arrays]
+
+
+def mapped(array) -> bool:
+    while array is not None and type(array).__name__ != "memmap":
+        array = getattr(array, "base", None) if hasattr(array, "base") else getattr(array, "obj", None)
+    return array is not None
+
+
+def noted_and_refused(folder: Path, number: int) -> int:
+    noted(folder, number)
+    return refused(number)
 
 
 def greedy(path: Path) -> int:

@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable
 from functools import partial
@@ -14,10 +15,12 @@ from pathlib import Path
 
 import cv2
 import fanout_work as work
+import numpy as np
 import pytest
 
 from camcal.errors import FileError, InvalidInput, ItemsFailed
 from camcal.messages import Message
+from camcal.progress import Outcome
 from camcal.run.fanout import fan_out, over_threads
 from camcal.run.options import BatchOptions
 from camcal.run.process import available_cores
@@ -213,15 +216,42 @@ def test_a_time_limit_of_a_batch_stops_items_that_would_go_to_threads(jobs):
 
 
 @pytest.mark.parametrize("way", WAYS)
-def test_the_first_error_is_the_last_outcome_of_a_batch_that_fails_fast(way):
-    outcomes = list(fan_out(work.refused, range(9), batch=BatchOptions(fail_fast=True), **way))
-    assert [outcome.item for outcome in outcomes] == [0, 1]
-    assert isinstance(outcomes[1].error, FileError)
+def test_nothing_is_begun_after_a_failure_that_ends_a_batch(way, tmp_path):
+    recorder = Recorder()
+    batch = BatchOptions(fail_fast=True)
+    outcomes = list(
+        fan_out(partial(work.noted_and_refused, tmp_path), range(40), batch=batch, progress=recorder, **way)
+    )
+    begun = [outcome.item for outcome in outcomes]
+    assert begun == sorted(int(path.name) for path in tmp_path.iterdir())
+    assert begun[:2] == [0, 1]
+    assert len(begun) <= 2 * 2 + 1  # what was at work, and waiting
+    assert [outcome.item for outcome in outcomes if outcome.error] == [1]
+    warning = recorder.calls[-1]
+    assert (warning.code, warning.values) == ("stopped_at_failure", {"not_begun": 40 - len(begun)})
     assert children() == []
 
 
+def test_a_batch_that_fails_with_its_last_item_has_left_out_nothing():
+    recorder = Recorder()
+    list(fan_out(work.refused, [0, 1], batch=BatchOptions(fail_fast=True), progress=recorder))
+    assert recorder.calls[-1] == "finish"
+
+
+def test_large_arrays_of_the_function_are_read_by_workers_from_one_file(tmp_path, monkeypatch):
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    arrays = np.ones(100_001, np.uint8), np.arange(1e5), np.ones(5), np.ones((500, 400), order="F")
+    outcomes = fan_out(work.Sum(arrays), range(3), jobs=2, processes=True)
+    first = next(outcomes)
+    [file] = tmp_path.iterdir()
+    total = sum(float(array.sum()) for array in arrays)
+    assert [first, *outcomes] == [Outcome(number, (total + number, [True, True, False, True])) for number in range(3)]
+    assert file.name.startswith("camcal-")
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_time_limit_below_a_millisecond_is_refused():
-    with pytest.raises(InvalidInput, match="'--timeout': 0 is less than 0.001"):
+    with pytest.raises(InvalidInput, match=r"'--timeout': 0 is less than 0\.001"):
         BatchOptions(timeout=0.0)
 
 
@@ -236,7 +266,9 @@ from pathlib import Path
 sys.path.insert(0, sys.argv[1])
 import fanout_work as work
 from camcal.run.fanout import fan_out
-list(fan_out(partial(work.pid_then_hang, Path(sys.argv[2])), range(9), jobs=2, processes=True))
+import numpy as np
+work_on = partial(work.pid_then_hang, Path(sys.argv[2]), array=np.zeros(1 << 16))
+list(fan_out(work_on, range(9), jobs=2, processes=True))
 """
 
 
@@ -259,11 +291,16 @@ def parent_with_two_hanging_workers(
     return process, pids
 
 
-def test_workers_leave_when_their_parent_is_killed_in_the_middle_of_an_item(start_python, tmp_path):
+def test_workers_leave_when_their_parent_is_killed_in_the_middle_of_an_item(start_python, tmp_path, monkeypatch):
+    folder = tmp_path / "temporary"
+    folder.mkdir()
+    monkeypatch.setenv("TMPDIR", str(folder))
     process, pids = parent_with_two_hanging_workers(start_python, tmp_path)
+    assert len(list(folder.glob("camcal-*"))) == 1
     process.kill()
     process.communicate()
     assert all(gone(pid) for pid in pids)
+    assert list(folder.glob("camcal-*")) == []
 
 
 @pytest.mark.parametrize("as_file", [False, True], ids=["python -c", "a script without a __main__ guard"])
@@ -277,7 +314,8 @@ def test_ctrl_c_ends_the_parent_and_its_workers_without_noise_from_them(start_py
     assert all(gone(pid) for pid in pids)
 
 
-THREADS = PARENT.replace("pid_then_hang", "noted").replace("range(9), jobs=2, processes=True", "range(1000), jobs=2")
+THREADS = PARENT.replace("pid_then_hang", "noted").replace(", array=np.zeros(1 << 16)", "")
+THREADS = THREADS.replace("range(9), jobs=2, processes=True", "range(1000), jobs=2")
 
 
 def test_ctrl_c_drops_the_items_that_threads_have_not_begun(start_python, tmp_path):
