@@ -36,6 +36,16 @@ class Silent:
         pass
 
 
+class Collected(Silent):
+    """Keeps warnings, for work that has nobody to tell them to."""
+
+    def __init__(self) -> None:
+        self.warnings: list[Message] = []
+
+    def warn(self, message: Message) -> None:
+        self.warnings.append(message)
+
+
 SILENT = Silent()
 
 

@@ -183,7 +183,7 @@ def cloud(options: CloudOptions, call: ImageCall) -> None:
 
 def _make_clouds(options: CloudOptions, call: Call) -> None:
     from camcal.progress import require_all
-    from camcal.tasks.stereo.cloud import cloud_folder, folder_document
+    from camcal.tasks.stereo.cloud_folder import cloud_folder, folder_document
 
     outcomes = cloud_folder(options, call.progress)
     reports = [outcome.value for outcome in outcomes if outcome.value is not None]

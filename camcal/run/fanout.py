@@ -67,6 +67,21 @@ def fan_out(
     return _reported(outcomes, what, total, progress)
 
 
+def only_outcome(
+    function: Callable[[Item], Value], item: Item, batch: BatchOptions = DEFAULT_BATCH
+) -> Outcome[Item, Value]:
+    """Return what becomes of an item that is the only one; raises its error.
+
+    The function may use all cores: it is called here, unless the batch wants it elsewhere.
+    """
+    if batch.timeout is None and batch.scheduler is None:
+        return Outcome(item, function(item))
+    [outcome] = fan_out(function, [item], jobs=1, batch=batch)
+    if outcome.error is not None:
+        raise outcome.error
+    return outcome
+
+
 def _reported(
     outcomes: Generator[Outcome[Item, Value]], what: str, total: int | None, progress: Progress
 ) -> Iterator[Outcome[Item, Value]]:

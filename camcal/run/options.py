@@ -1,8 +1,10 @@
 """The options of commands that work on many items."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Annotated
 
+from camcal.errors import CamcalError
 from camcal.options import GENERAL, Option, OptionsRecord
 
 _SHORTEST_S = 1e-3  # a limit below says nothing of the item
@@ -46,6 +48,16 @@ class BatchOptions(OptionsRecord):
             recorded=False,
         ),
     ] = None
+
+    @property
+    def keep_going(self) -> "BatchOptions":
+        """The same for work on a sample, or once more: a failure there does not end it."""
+        return replace(self, fail_fast=False)
+
+    def raise_first(self, errors: Sequence[CamcalError]) -> None:
+        """Raise the first error of items where one ends the batch: there is no result of the others alone."""
+        if errors and self.fail_fast:
+            raise errors[0]
 
 
 DEFAULT_BATCH = BatchOptions()

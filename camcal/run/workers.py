@@ -103,7 +103,7 @@ class Payload:
         mapped = np.memmap(self.file, np.uint8, mode="c")  # what a worker writes into its arrays stays with it
         starts = itertools.accumulate((size + -size % _ALIGNMENT for size in self.sizes[:-1]), initial=0)
         places = zip(starts, self.sizes, strict=True)
-        return _load(self.message, [memoryview(mapped[start : start + size]) for start, size in places])
+        return _load(self.message, [mapped[start : start + size].data for start, size in places])
 
     def remove(self) -> None:
         """Remove the file, if it is there."""

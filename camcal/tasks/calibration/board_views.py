@@ -12,6 +12,7 @@ from camcal.options import given_words
 from camcal.progress import Progress, warn_of
 from camcal.raw.detection_image import read_detection_image
 from camcal.raw.options import AS_IMAGES, ImageReadOptions
+from camcal.run.options import DEFAULT_BATCH, BatchOptions
 from camcal.targets.board import Board
 from camcal.targets.detection import Detections
 from camcal.tasks.calibration.detect import detect_images
@@ -57,6 +58,7 @@ def board_views(
     frames: FrameOptions = BEST_FRAMES,
     parts: bool = False,
     mixed_sizes: bool | None = None,
+    batch: BatchOptions = DEFAULT_BATCH,
 ) -> BoardViews:
     """Return what images, videos, folders and globs show of a board, or what one detections file holds.
 
@@ -92,6 +94,7 @@ def board_views(
         known,
         recursive=recursive,
         jobs=jobs,
+        batch=batch,
         reading=reading,
         frames=frames,
         parts=parts,

@@ -106,6 +106,7 @@ def seen_of(options: CalibrateOptions, board: Board | str | None, progress: Prog
         frames=options.frames,
         parts=options.parts,
         mixed_sizes=options.mixed_sizes,
+        batch=options.batch,
     )
 
 
@@ -213,7 +214,8 @@ def _refined(
     A second look that a calibration cannot be made from leaves the first one as it is.
     """
     views = seen.detections.views
-    look = refine_corners(calibration, views, seen.videos, options.reading, options.jobs, progress, seen.files)
+    how_read = options.reading, options.jobs, options.batch
+    look = refine_corners(calibration, views, seen.videos, *how_read, progress, seen.files)
     better = replace(seen, detections=replace(seen.detections, views=look.views))
     progress.start("solving again", None)
     try:

@@ -15,6 +15,7 @@ from camcal.progress import Progress
 from camcal.raw.detection_image import read_detection_image
 from camcal.raw.options import ImageReadOptions
 from camcal.run.fanout import fan_out
+from camcal.run.options import BatchOptions
 from camcal.targets.board import Board
 from camcal.targets.corners.measure import Expected, remeasure, seen_cells, signs
 from camcal.targets.detection import NEAR, BoardDetection, MaskedImage, size_relation
@@ -81,6 +82,7 @@ def refine_corners(
     videos: Sequence[Video],
     reading: ImageReadOptions,
     jobs: int | None,
+    batch: BatchOptions,
     progress: Progress,
     files: Mapping[str, Path] = MappingProxyType({}),
 ) -> CornerRefinement:
@@ -102,9 +104,8 @@ def refine_corners(
         if record.used
     }
     work = partial(_remeasured, reading=reading)
-    outcomes = fan_out(
-        work, _expected_views(expected, videos), jobs=jobs, processes=True, what="measuring corners", progress=progress
-    )
+    tasks, what = _expected_views(expected, videos), "measuring corners"
+    outcomes = fan_out(work, tasks, jobs=jobs, batch=batch.keep_going, processes=True, what=what, progress=progress)
     again = {outcome.value.image: outcome.value for outcome in outcomes if outcome.value is not None}
     numbers = [(expected[image].view.ids, view.ids) for image, view in again.items()]
     return CornerRefinement(

@@ -150,11 +150,14 @@ def search_board(
 
     Raises FileError if nothing can be read.
     """
-    material = Material(images, videos, options.reading, options.jobs, progress)
+    material = Material(images, videos, options.reading, options.jobs, options.batch, progress)
     board = arranged(asked, material) if asked.type == CHARUCO else asked
     seen, errors = _seen(images, board, options, progress)
+    errors += [video.error for video in videos if video.error is not None]
+    options.batch.raise_first(errors)
     framed, lost = _in_videos(videos, board, options, progress)
-    errors += [*(video.error for video in videos if video.error is not None), *lost]
+    errors += lost
+    options.batch.raise_first(errors)
     found = [*seen, *framed]
     _require_readable(found, errors)
     instead = other_board(asked, board, found, material) if board.type == CHARUCO else None
@@ -174,7 +177,7 @@ def _drawn(
     if options.draw is None:
         return ()
     outputs = pictures([view.image for view in views], options.draw)
-    return draw(views, outputs, videos, options.reading, options.jobs, progress)
+    return draw(views, outputs, videos, options, progress)
 
 
 def _media(options: DetectOptions) -> Media:
@@ -213,7 +216,7 @@ def _seen(
     """Return what images show, and why others could not be read."""
     work = partial(detect_file, reading=options.reading, parts=options.parts, hashed=True)
     tasks = [(path, board) for path in images]
-    outcomes = list(search(work, tasks, options.jobs, "detecting", progress)) if images else []
+    outcomes = list(search(work, tasks, options.jobs, options.batch, "detecting", progress)) if images else []
     errors = [outcome.error for outcome in outcomes if outcome.error is not None]
     return [outcome.value for outcome in outcomes if outcome.value is not None], errors
 
@@ -227,7 +230,8 @@ def _in_videos(
     for video in videos:
         # one outcome after another: each holds its frame
         work = partial(detect_frame, parts=options.parts)
-        for outcome in search(work, video.tasks([board]), options.jobs, f"detecting in {video.path.name}", progress):
+        what = f"detecting in {video.path.name}"
+        for outcome in search(work, video.tasks([board]), options.jobs, options.batch, what, progress):
             views += [outcome.value] if outcome.value else []
             errors += [outcome.error] if outcome.error else []
     return views, errors
@@ -283,14 +287,15 @@ def draw(
     views: Sequence[BoardDetection],
     outputs: Mapping[str, Path],
     videos: Sequence[Video],
-    reading: ImageReadOptions,
-    jobs: int | None,
+    options: DetectOptions,
     progress: Progress,
 ) -> tuple[Path, ...]:
     """Return the pictures that were written, one for each view; raises FileError if one cannot be."""
     sheets = _sheets(views, outputs, videos)
-    written = values_of(fan_out(partial(_draw, reading=reading), sheets, jobs=jobs, what="drawing", progress=progress))
-    return tuple(written)
+    work = partial(_draw, reading=options.reading)
+    return tuple(
+        values_of(fan_out(work, sheets, jobs=options.jobs, batch=options.batch, what="drawing", progress=progress))
+    )
 
 
 def _sheets(views: Sequence[BoardDetection], outputs: Mapping[str, Path], videos: Sequence[Video]) -> Iterator[_Sheet]:

@@ -4,6 +4,7 @@ from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
 
@@ -15,6 +16,7 @@ from camcal.images.save import save
 from camcal.images.video import frames
 from camcal.progress import Outcome, Progress
 from camcal.run.fanout import fan_out
+from camcal.run.options import BatchOptions
 
 
 @dataclass(frozen=True)
@@ -26,10 +28,18 @@ class Drawn:
     frame: int | None = None
 
 
+class Sources(NamedTuple):
+    """Images and videos of one camera with the files they go to; numbers of frames go before the suffix."""
+
+    images: Mapping[Path, Path]
+    videos: Mapping[Path, Path]
+
+
 class _Item(NamedTuple):
     """An image to draw: of a file, or a frame of a video with its number, or the error that ended the video."""
 
     source: Path
+    camera: str
     output: Path
     frame: int | None = None
     image: Image | CamcalError | None = None
@@ -37,37 +47,38 @@ class _Item(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Drawing:
-    """What all images share. border: see `Maps.apply`. quality: of JPEG. size_advice: what to do about another size."""
+    """What all images share.
 
-    maps: Maps
+    maps: by the names of cameras. border: see `Maps.apply`. quality: of JPEG. size_advice: what to do about another
+    size.
+    """
+
+    maps: Mapping[str, Maps]
     border: tuple[float, ...] = (0.0,)
     quality: int = 95
     size_advice: str = ""
     spare: deque[Scratch] = field(default_factory=deque)  # of threads that have finished an image
 
-    def images(
-        self, outputs: Mapping[Path, Path], jobs: int | None, progress: Progress
-    ) -> Iterator[Outcome[Path, Drawn]]:
-        """Yield what became of every image: its source and the file it goes to."""
-        return self._run("images", [_Item(*pair) for pair in outputs.items()], jobs, progress)
+    def outcomes(
+        self, sources: Mapping[str, Sources], jobs: int | None, batch: BatchOptions, progress: Progress
+    ) -> Iterator[tuple[str, Outcome[Path, Drawn]]]:
+        """Yield what became of every image and every frame, each with the name of its camera; frames are not kept."""
+        items: Iterable[_Item] = [
+            _Item(path, camera, output) for camera, own in sources.items() for path, output in own.images.items()
+        ]
+        videos = [(camera, *video) for camera, own in sources.items() for video in own.videos.items()]
+        if videos:
+            items = chain(items, *(self._frames(*video) for video in videos))
+        for outcome in fan_out(self._draw, items, jobs=jobs, batch=batch, what="images", progress=progress):
+            yield outcome.item.camera, Outcome(outcome.item.source, outcome.value, outcome.error)
 
-    def video(self, source: Path, output: Path, jobs: int | None, progress: Progress) -> Iterator[Outcome[Path, Drawn]]:
-        """Yield what became of every frame; output: its number goes before the suffix. Frames are not kept."""
-        return self._run(source.name, self._frames(source, output), jobs, progress)
-
-    def _run(
-        self, what: str, items: Iterable[_Item], jobs: int | None, progress: Progress
-    ) -> Iterator[Outcome[Path, Drawn]]:
-        for outcome in fan_out(self._draw, items, jobs=jobs, what=what, progress=progress):
-            yield Outcome(outcome.item.source, outcome.value, outcome.error)
-
-    def _frames(self, source: Path, output: Path) -> Iterator[_Item]:
+    def _frames(self, camera: str, source: Path, output: Path) -> Iterator[_Item]:
         try:
             for number, image in enumerate(frames(source)):
-                self._check_size(source, image)
-                yield _Item(source, output.with_stem(f"{output.stem}_{number:06d}"), number, image)
+                self._check_size(camera, source, image)
+                yield _Item(source, camera, output.with_stem(f"{output.stem}_{number:06d}"), number, image)
         except CamcalError as error:
-            yield _Item(source, output, None, error)
+            yield _Item(source, camera, output, None, error)
 
     def _draw(self, item: _Item) -> Drawn:
         """Return what was written of an item; raises CamcalError if it cannot be read, drawn or written."""
@@ -76,8 +87,8 @@ class Drawing:
         scratch = self._take_scratch()
         try:
             image = item.image or load(item.source, scratch)
-            self._check_size(item.source, image)
-            view = self.maps.apply(image.pixels, self.border, scratch)
+            self._check_size(item.camera, item.source, image)
+            view = self.maps[item.camera].apply(image.pixels, self.border, scratch)
             save(item.output, replace(image, pixels=view), quality=self.quality)
         finally:
             self.spare.append(scratch)
@@ -88,10 +99,11 @@ class Drawing:
             return self.spare.pop()
         return Scratch()
 
-    def _check_size(self, source: Path, image: Image) -> None:
-        if image.size != self.maps.source_size:
-            found, wanted = ("{}x{}".format(*size) for size in (image.size, self.maps.source_size))
-            advice = self.size_advice if same_shape(image.size, self.maps.source_size) else ""
+    def _check_size(self, camera: str, source: Path, image: Image) -> None:
+        size = self.maps[camera].source_size
+        if image.size != size:
+            found, wanted = ("{}x{}".format(*each) for each in (image.size, size))
+            advice = self.size_advice if same_shape(image.size, size) else ""
             raise InvalidInput(f"is {found}, the camera {wanted}{advice}", where=str(source))
 
 

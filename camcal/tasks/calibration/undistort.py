@@ -3,7 +3,7 @@
 With --points, a table of pixels of the distorted image to pixels of the view, and the reverse.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -30,7 +30,7 @@ from camcal.options import command_line
 from camcal.progress import SILENT, Outcome, Progress
 from camcal.run.outputs import claim, writes
 from camcal.run.paths import Media, find_media, names_file, refuse_collisions, require_one, split_address
-from camcal.tasks.calibration.drawing import Drawing, Drawn, require_success, same_shape
+from camcal.tasks.calibration.drawing import Drawing, Drawn, Sources, require_success, same_shape
 from camcal.tasks.calibration.undistort_options import UndistortOptions
 from camcal.tasks.given_camera import read_camera_file, require_no_image
 
@@ -110,8 +110,9 @@ def undistort(options: UndistortOptions, progress: Progress = SILENT) -> Undisto
     lenses = source.channels if options.align_channels else {}
     maps = align_channels(maps, lenses, view) if lenses else maps
     advice = ": if it was resized, not cropped, give --scale-intrinsics"
-    drawing = Drawing(maps, options.border, options.quality, advice)
-    outcomes = tuple(_drawn(drawing, outputs, media, options, progress))
+    drawing = Drawing({source.name: maps}, options.border, options.quality, advice)
+    sources = {source.name: Sources(outputs, _video_outputs(options, media))}
+    outcomes = tuple(outcome for _, outcome in drawing.outcomes(sources, options.jobs, options.batch, progress))
     require_success(outcomes)
     if options.mask:
         save(mask_file, np.where(maps.valid(), 255, 0).astype(np.uint8))
@@ -144,15 +145,9 @@ def _places(options: UndistortOptions, media: Media) -> tuple[dict[Path, Path], 
     return {media.images[0]: output}, output.with_suffix(f".{CAMERA_FILE}"), output.with_suffix(f".{MASK_FILE}")
 
 
-def _drawn(
-    drawing: Drawing, outputs: Mapping[Path, Path], media: Media, options: UndistortOptions, progress: Progress
-) -> Iterator[Outcome[Path, Drawn]]:
-    """Yield what became of every image and every frame."""
-    if outputs:
-        yield from drawing.images(outputs, options.jobs, progress)
+def _video_outputs(options: UndistortOptions, media: Media) -> dict[Path, Path]:
     suffix = f".{options.format}" if options.format else _FRAME_SUFFIX
-    for video in media.videos:
-        yield from drawing.video(video, options.output / f"{video.stem}{suffix}", options.jobs, progress)
+    return {video: options.output / f"{video.stem}{suffix}" for video in media.videos}
 
 
 def suffix_of(source: Path, kind: str | None) -> str:

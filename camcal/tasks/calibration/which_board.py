@@ -21,6 +21,7 @@ from camcal.progress import Outcome, Progress
 from camcal.raw.detection_image import read_detection_image
 from camcal.raw.options import ImageReadOptions
 from camcal.run.fanout import fan_out
+from camcal.run.options import BatchOptions
 from camcal.targets.board import APRILGRID, ASYMMETRIC_CIRCLES, CHARUCO, CHESSBOARD, CIRCLES, Board
 from camcal.targets.checker.charuco import arrangements, ends_after, rows_seen
 from camcal.targets.checker.charuco_search import CharucoLayout, common_layout, is_like, search_charuco
@@ -183,12 +184,13 @@ def _squares(board: Board) -> str:
 
 @dataclass(frozen=True)
 class Material:
-    """Images and videos, how they are read, and how many at a time."""
+    """Images and videos, how they are read, how many at a time and how else they are worked on."""
 
     images: Sequence[Path]
     videos: Sequence[Video]
     reading: ImageReadOptions
     jobs: int | None
+    batch: BatchOptions
     progress: Progress
 
     def of(self, names: Container[str]) -> "Material":
@@ -199,6 +201,12 @@ class Material:
     def sample(self) -> "Material":
         """Return a few of the images, and a few frames of every video."""
         return replace(self, images=_spread(self.images), videos=[video.sample() for video in self.videos])
+
+    def search(
+        self, work: Callable[[Source], Shown], tasks: Iterable[Source], what: str
+    ) -> Iterator[Outcome[Source, Shown]]:
+        """Return an iterator with the outcome of every task, also after one that failed."""
+        return search(work, tasks, self.jobs, self.batch.keep_going, what, self.progress)
 
     def sources(self) -> Iterator[tuple[str, Path | Frame]]:
         """Yield the images, then the frames of one video after another, under their names."""
@@ -216,14 +224,14 @@ def arranged(asked: Board, material: Material) -> Board:
     candidates = arrangements(asked)
     if len(candidates) == 1:
         return candidates[0]
-    reading, jobs, progress = replace(material.reading, colours=False), material.jobs, material.progress
+    reading = replace(material.reading, colours=False)
     corners: Counter[Board] = Counter()
     for part in (material.sample(), material):
         tasks = [(path, candidate) for candidate in candidates for path in part.images]
-        shown = search(partial(detect_file, reading=reading), tasks, jobs, TRYING, progress)
+        shown = material.search(partial(detect_file, reading=reading), tasks, TRYING)
         corners.update(_counts((outcome.item[1], outcome.value) for outcome in shown if outcome.value))
         for video in part.videos:
-            looks = search(detect_frame, video.tasks(candidates), jobs, TRYING, progress)
+            looks = material.search(detect_frame, video.tasks(candidates), TRYING)
             corners.update(_counts((outcome.item[2], outcome.value) for outcome in looks if outcome.value))
         if corners.total():
             break
@@ -269,7 +277,7 @@ def _searched(asked: Board, material: Material) -> OtherBoard | None:
     tasks = list(islice(material.sample().sources(), SAMPLE))
     layouts: list[CharucoLayout] = []
     tried = 0
-    for outcome in search(work, tasks, material.jobs, SEARCHING, material.progress):
+    for outcome in material.search(work, tasks, SEARCHING):
         tried += 1
         layouts += [outcome.value] if outcome.value else []
         if len(layouts) > len({layout.kind for layout in layouts}):
@@ -300,7 +308,7 @@ def _with_fewer_rows(
     views = {view.image: view for view in _spread(found)}
     work = partial(_ends_in, reading=replace(material.reading, colours=False), board=board, rows=rows)
     tasks = [(name, source, views[name]) for name, source in material.of(views).sources()]
-    outcomes = list(search(work, tasks, material.jobs, SEARCHING, material.progress))
+    outcomes = list(material.search(work, tasks, SEARCHING))
     shown = sum(bool(outcome.value) for outcome in outcomes)
     if not shown or shown < _ENDING * len(outcomes):
         return None
@@ -346,8 +354,13 @@ def require_colours(board: Board, reading: ImageReadOptions) -> None:
 
 
 def search(
-    work: Callable[[Source], Shown], tasks: Iterable[Source], jobs: int | None, what: str, progress: Progress
+    work: Callable[[Source], Shown],
+    tasks: Iterable[Source],
+    jobs: int | None,
+    batch: BatchOptions,
+    what: str,
+    progress: Progress,
 ) -> Iterator[Outcome[Source, Shown]]:
     """Return an iterator with the outcome of every task in their order; one that hangs or crashes costs itself only."""
     timeout = None if jobs == 1 else TIMEOUT_S
-    return fan_out(work, tasks, jobs=jobs, processes=True, what=what, progress=progress, timeout=timeout)
+    return fan_out(work, tasks, jobs=jobs, batch=batch, processes=True, what=what, progress=progress, timeout=timeout)

@@ -93,7 +93,7 @@ def pnp(options: PnpOptions, progress: Progress = SILENT) -> PnpReport:
         lines=seen.lines,
         failed=(*seen.failed, *map(str, refused)),
         unsettled=tuple(pose_key for pose_key, estimate in found.items() if not estimate.converged),
-        pictures=draw(pages, videos_in(options.paths), _folders(options), options.detection.jobs, progress),
+        pictures=draw(pages, videos_in(options.paths), _folders(options), options.detection, progress),
         views={} if options.rig else {pose_key: each.views[0] for pose_key, each in observations.items()},
         camera=None if options.rig else observer.cameras[None],
     )

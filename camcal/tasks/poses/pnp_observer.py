@@ -268,7 +268,7 @@ def draw(
     pages: Sequence[Sheet],
     videos: Sequence[Path],
     folders: Sequence[Path],
-    jobs: int | None,
+    detection: DetectionOptions,
     progress: Progress,
 ) -> tuple[Path, ...]:
     """Return the pictures that were written, one for each image.
@@ -276,8 +276,8 @@ def draw(
     videos: whose frames may be among the images. folders: in which other images are looked for by their names; what is
     nowhere, or has another size than the camera, is drawn on gray. Raises FileError if a picture cannot be written.
     """
-    written = values_of(fan_out(_draw, _work(pages, videos, folders), jobs=jobs, what="drawing", progress=progress))
-    return tuple(written)
+    work, jobs, batch = _work(pages, videos, folders), detection.jobs, detection.batch
+    return tuple(values_of(fan_out(_draw, work, jobs=jobs, batch=batch, what="drawing", progress=progress)))
 
 
 def _work(pages: Sequence[Sheet], videos: Sequence[Path], folders: Sequence[Path]) -> Iterator[_Work]:

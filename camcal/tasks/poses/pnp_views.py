@@ -128,7 +128,14 @@ def _seen_tags(
     camera = _fitting(camera, *first_size(inputs, detection.recursive), detection.scale)
     keep = detection.repeated_ids == "keep"
     found = tag_views(
-        inputs, objects, detection.recursive, detection.jobs, progress, camera.image_size, keep_repeated=keep
+        inputs,
+        objects,
+        detection.recursive,
+        detection.jobs,
+        progress,
+        camera.image_size,
+        keep_repeated=keep,
+        batch=detection.batch,
     )
     observations = (
         Observation(PoseKey(view.image, view.object), (view,), (np.arange(len(view.points)),)) for view in found.views
@@ -155,15 +162,16 @@ def _boards(
     inputs: tuple[str, ...], board: Board | None, detection: DetectionOptions, progress: Progress
 ) -> BoardViews:
     """Return what is seen of a board; videos are read frame by frame."""
+    jobs, batch = detection.jobs, detection.batch
     if board is None or any(is_table(text) for text in inputs):
-        return board_views(inputs, board, detection.recursive, detection.jobs, progress)
+        return board_views(inputs, board, detection.recursive, jobs, progress)
     media = find_media(inputs, detection.recursive)
     if not media.videos:
-        return board_views(inputs, board, detection.recursive, detection.jobs, progress)
-    moving = board_frames(media.videos, board, detection.jobs, progress)
+        return board_views(inputs, board, detection.recursive, jobs, progress, batch=batch)
+    moving = board_frames(media.videos, board, jobs, progress, batch=batch)
     if not media.images:
         return moving
-    still = board_views(tuple(map(str, media.images)), moving.board, False, detection.jobs, progress)
+    still = board_views(tuple(map(str, media.images)), moving.board, False, jobs, progress, batch=batch)
     both = replace(still.detections, views=(*still.detections.views, *moving.detections.views))
     return BoardViews(still.board, both, still.warnings, still.lines, (*still.failed, *moving.failed))
 

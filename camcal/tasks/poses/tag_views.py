@@ -19,6 +19,7 @@ from camcal.messages import Message
 from camcal.progress import SILENT, Outcome, Progress, warn_of
 from camcal.raw.detection_image import read_detection_image
 from camcal.run.fanout import fan_out
+from camcal.run.options import DEFAULT_BATCH, BatchOptions
 from camcal.run.paths import find_media
 from camcal.targets.board import CHARUCO, Board
 from camcal.targets.checker.charuco import arrangements
@@ -73,6 +74,7 @@ def tag_views(
     image_size: tuple[int, int] | None = None,
     *,
     keep_repeated: bool = False,
+    batch: BatchOptions = DEFAULT_BATCH,
 ) -> TagViews:
     """Return what images, folders, globs and videos show of tags: one view for every image and object.
 
@@ -82,11 +84,13 @@ def tag_views(
     Raises InvalidInput, FileError for inputs that are not there, or if none can be read.
     """
     media = find_media(inputs, recursive)
-    search = partial(_search, tags=tags, keep_repeated=keep_repeated, jobs=jobs, progress=progress)
+    search = partial(_search, tags=tags, keep_repeated=keep_repeated, jobs=jobs, batch=batch, progress=progress)
     outcomes = search([_Frame(path.as_posix()) for path in media.images], "images")
     for video in media.videos:
+        batch.raise_first(_errors(outcomes))
         outcomes += search(_frames([video]), video.name)
-    errors = [outcome.error for outcome in outcomes if outcome.error is not None]
+    errors = _errors(outcomes)
+    batch.raise_first(errors)
     seen = {outcome.item.name: outcome.value for outcome in outcomes if outcome.value is not None}
     if not seen:
         raise errors[0] if len(errors) == 1 else FileError(f"none of {len(errors)} images can be read; {errors[0]}")
@@ -100,6 +104,10 @@ def tag_views(
     warnings = tuple(each.at(name) for name, item in seen.items() for each in item.markers.warnings)
     warn_of(warnings, progress)
     return TagViews(tuple(views), nothing, tuple(map(str, errors)), warnings, tuple(seen))
+
+
+def _errors(outcomes: Iterable[Outcome[_Frame, _ImageMarkers]]) -> list[CamcalError]:
+    return [outcome.error for outcome in outcomes if outcome.error is not None]
 
 
 def _frames(videos: Iterable[Path]) -> Iterator[_Frame]:
@@ -117,12 +125,13 @@ def _search(
     tags: TagObjects,
     keep_repeated: bool,
     jobs: int | None,
+    batch: BatchOptions,
     progress: Progress,
 ) -> list[Outcome[_Frame, _ImageMarkers]]:
     """Return what became of every image, its pixels dropped."""
     timeout = None if jobs == 1 else _TIMEOUT_S
     work = partial(_look_at, family=tags.family, keep_repeated=keep_repeated)
-    found = fan_out(work, looks, jobs=jobs, processes=True, what=what, progress=progress, timeout=timeout)
+    found = fan_out(work, looks, jobs=jobs, batch=batch, processes=True, what=what, progress=progress, timeout=timeout)
     return [Outcome(_Frame(outcome.item.name), outcome.value, outcome.error) for outcome in found]
 
 
@@ -170,7 +179,12 @@ def _why_not(
 
 
 def board_frames(
-    videos: Sequence[Path], board: Board, jobs: int | None = None, progress: Progress = SILENT
+    videos: Sequence[Path],
+    board: Board,
+    jobs: int | None = None,
+    progress: Progress = SILENT,
+    *,
+    batch: BatchOptions = DEFAULT_BATCH,
 ) -> BoardViews:
     """Return what every frame of videos shows of a board, frames named as `frame_name` does.
 
@@ -182,10 +196,12 @@ def board_frames(
     work = partial(_detect, board=known)
     views: list[BoardDetection] = []
     errors: list[CamcalError] = []
-    for outcome in fan_out(work, _frames(videos), jobs=jobs, processes=True, what="detecting", progress=progress):
+    tasks, what = _frames(videos), "detecting"
+    for outcome in fan_out(work, tasks, jobs=jobs, batch=batch, processes=True, what=what, progress=progress):
         # one outcome after another: each holds its frame
         views += [outcome.value] if outcome.value else []
         errors += [outcome.error] if outcome.error else []
+    batch.raise_first(errors)
     if not views:
         raise errors[0] if errors else FileError("holds no frame", where=str(videos[0]))
     warnings = board_warnings(views, known, board)

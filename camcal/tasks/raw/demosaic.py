@@ -4,7 +4,7 @@ Settings that repeat a development bit for bit are written beside every image. W
 resembles with each of the four patterns.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -38,7 +38,7 @@ from camcal.raw.options import (
 )
 from camcal.raw.planes import Each, one_by_one
 from camcal.raw.reading import missing_pattern
-from camcal.run.fanout import fan_out, over_threads
+from camcal.run.fanout import fan_out, only_outcome, over_threads
 from camcal.run.outputs import claim, writes
 from camcal.run.paths import find_images, place
 from camcal.tasks.raw.options import DemosaicOptions
@@ -49,6 +49,9 @@ DNG = ".dng"
 _SETTINGS = ".yaml"
 _COMMENT = "What camcal demosaic did; given to --config, this file repeats it."
 _LONGEST = 480  # pixels of a thumbnail's longer side
+
+
+_Item = tuple[Path, Path]  # a frame and the image that is written
 
 
 @dataclass(frozen=True)
@@ -84,32 +87,38 @@ def demosaic(options: DemosaicOptions, progress: Progress = SILENT) -> list[Outc
     settings = [_settings_beside(output) for output in outputs.values()]
     claim([*outputs.values(), *settings])
     corrections = load_corrections(options.corrections, options.reading, sources[0])
-    if len(sources) == 1:
-        outcomes = [_alone(sources[0], outputs, options, corrections)]
-    else:
-        work = partial(_develop_file, options=options, corrections=corrections, outputs=outputs)
-        outcomes = list(fan_out(work, sources, jobs=options.jobs, what="demosaic", progress=progress))
+    outcomes = list(_outcomes(outputs, options, corrections, progress))
     _warn_of_a_short_scale(outcomes, options.reading.white, progress)
     return outcomes
 
 
-def _alone(
-    source: Path, outputs: Mapping[Path, Path], options: DemosaicOptions, corrections: Corrections
-) -> Outcome[Path, DevelopedFrame]:
-    """Return what became of a single frame: all cores work on its tiles. Raises what keeps it from being developed."""
+def _outcomes(
+    outputs: Mapping[Path, Path], options: DemosaicOptions, corrections: Corrections, progress: Progress
+) -> Iterator[Outcome[Path, DevelopedFrame]]:
+    """Yield what becomes of every frame; raises what keeps a single one from being developed."""
+    jobs, batch = options.jobs, options.batch
+    if len(outputs) == 1:
+        alone = partial(_develop_alone, options=options, corrections=corrections)
+        found = iter([only_outcome(alone, next(iter(outputs.items())), batch)])
+    else:
+        work = partial(_develop_file, options=options, corrections=corrections)
+        found = fan_out(work, outputs.items(), jobs=jobs, batch=batch, what="demosaic", progress=progress)
+    for outcome in found:
+        yield Outcome(outcome.item[0], outcome.value, outcome.error)
+
+
+def _develop_alone(item: _Item, options: DemosaicOptions, corrections: Corrections) -> DevelopedFrame:
+    """Return what was written of a frame whose tiles all cores work on."""
     with over_threads(options.jobs) as each:
-        return Outcome(source, _develop_file(source, options, corrections, outputs, each))
+        return _develop_file(item, options, corrections, each)
 
 
 def _develop_file(
-    source: Path,
-    options: DemosaicOptions,
-    corrections: Corrections,
-    outputs: Mapping[Path, Path],
-    each: Each = one_by_one,
+    item: _Item, options: DemosaicOptions, corrections: Corrections, each: Each = one_by_one
 ) -> DevelopedFrame:
+    source, output = item
     with Located(source):
-        return _developed(source, outputs[source], options, corrections, each)
+        return _developed(source, output, options, corrections, each)
 
 
 def _developed(

@@ -244,7 +244,14 @@ def _refined(
         views[name] = own = seen.of(name)
         if name in calibration.calibrations:
             look = refine_corners(
-                calibration.calibrations[name], own, seen.videos, settings.reading, settings.jobs, progress, seen.files
+                calibration.calibrations[name],
+                own,
+                seen.videos,
+                settings.reading,
+                settings.jobs,
+                settings.batch,
+                progress,
+                seen.files,
             )
             views[name], recovered, lost = look.views, recovered + look.recovered, lost + look.lost
     better = seen.with_views(views)

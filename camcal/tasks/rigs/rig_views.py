@@ -134,6 +134,7 @@ def _from_media(cameras: Sequence[CameraInputs], settings: RigSettings, progress
     options = DetectOptions(
         board=asked,
         jobs=settings.jobs,
+        batch=settings.batch,
         reading=settings.reading,
         frames=settings.frames,
         parts=settings.parts,

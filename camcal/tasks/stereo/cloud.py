@@ -1,6 +1,6 @@
-"""`camcal stereo cloud`: a disparity map, or every map in a folder, and what is known of its pair to a point cloud."""
+"""`camcal stereo cloud`: a disparity map, and what is known of its pair, to a point cloud."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -9,17 +9,17 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from camcal.arrays import Array, FloatArray
-from camcal.errors import FileError, InvalidInput
+from camcal.errors import InvalidInput
 from camcal.formats import disparity, disparity_sidecar, pointclouds, pose_text
 from camcal.formats.disparity import DisparityMap
 from camcal.formats.disparity_sidecar import Sidecar
 from camcal.images.load import load
 from camcal.messages import Message
 from camcal.parsing import parse_number
-from camcal.progress import SILENT, Outcome, Progress, values_of, warn_of
-from camcal.run.fanout import fan_out, over_threads
-from camcal.run.outputs import claim, writes
-from camcal.run.paths import IMAGE_SUFFIXES, find_pairs, place, require_there, split_address
+from camcal.progress import SILENT, Collected, Progress, values_of, warn_of
+from camcal.run.fanout import fan_out, only_outcome, over_threads
+from camcal.run.outputs import writes
+from camcal.run.paths import IMAGE_SUFFIXES, find_pairs, require_there, split_address
 from camcal.stereo.disparity import Confidence
 from camcal.stereo.geometry import StereoGeometry
 from camcal.stereo.points.cloud import CloudMaker, thinned
@@ -35,7 +35,6 @@ from camcal.tasks.stereo.rig_pair import RigPair, require_rectified, unrectified
 GRIDS = (".pcd",)  # point clouds that can be organised as an image
 
 _FINEST = 1e-3  # metres; coarser steps than this between float32 coordinates are worth a warning
-_SUFFIX = ".ply"
 _NO_GEOMETRY = "unknown geometry: give a camera file of the rectified pair, or --fx, --cx, --cy and --baseline"
 
 
@@ -46,6 +45,7 @@ class CloudReport:
     matched: pixels with a match. outliers: those left out because they stand alone. depth: smallest, median and largest
     z along the optical axis, metres, None for an empty cloud. appearance: colour, gray or none. frame: in words.
     fields: of a point, in the order of the file. calibration_known: whether its uncertainty is part of the depth's.
+    warnings: about it, in order.
     """
 
     output: Path
@@ -61,6 +61,7 @@ class CloudReport:
     unit: str
     fields: tuple[str, ...]
     calibration_known: bool
+    warnings: tuple[Message, ...] = ()
 
 
 class PointSource(NamedTuple):
@@ -79,11 +80,24 @@ def stereo_cloud(options: CloudOptions, progress: Progress = SILENT) -> CloudRep
     a point and not known; FileError.
     """
     require_there(options.disparity)
-    return _cloud(options, rig_of_cloud(options, progress), progress)
+    work = partial(make_cloud, rig=rig_of_cloud(options, progress))
+    report = only_outcome(work, (options.disparity, options), options.batch).value
+    assert report is not None
+    warn_of(report.warnings, progress)
+    return report
+
+
+def make_cloud(item: tuple[Path, CloudOptions], rig: RigPair | None) -> CloudReport:
+    """Return what was written, of a pair rectified by `rig` or of a map, with its warnings; see `stereo_cloud`.
+
+    The path comes first, as errors have it.
+    """
+    heard = Collected()
+    report = _cloud(item[1], rig, heard)
+    return replace(report, warnings=tuple(heard.warnings))
 
 
 def _cloud(options: CloudOptions, rig: RigPair | None, progress: Progress) -> CloudReport:
-    """Return what was written, of a pair rectified by `rig` or of a map; see `stereo_cloud`."""
     pointclouds.require_suffix(options.output, ascii_text=options.vertices.ascii_text)
     if options.vertices.organised and options.output.suffix.lower() not in GRIDS:
         raise InvalidInput(f"an organised cloud is written as {' or '.join(GRIDS)}", where=str(options.output))
@@ -329,58 +343,4 @@ def document(report: CloudReport) -> dict[str, Any]:
         "unit": report.unit,
         "fields": list(report.fields),
         "calibration_known": report.calibration_known,
-    }
-
-
-def cloud_folder(options: CloudOptions, progress: Progress = SILENT) -> list[Outcome[Path, CloudReport]]:
-    """Return what became of every map in the folder options.disparity; one that fails costs only itself.
-
-    options.output is a folder, an image of options.files a folder of images with the names of the maps. With a rig file
-    both are folders of unrectified images, and there is a cloud for each pair.
-    Raises InvalidInput if clouds would overwrite maps or each other, FileError if the folder holds no map.
-    """
-    suffix = GRIDS[0] if options.vertices.organised else _SUFFIX
-    rig = rig_of_cloud(options, progress)
-    if rig is not None:
-        pairs = dict(find_pairs([options.disparity], [str(options.image)]))
-        sources = list(pairs)
-    else:
-        pairs, sources = {}, disparity.maps_in(options.disparity)
-    outputs = place(sources, options.output, suffix, pointclouds.SUFFIXES)
-    claim(outputs.values())
-    work = partial(_one, options=options, outputs=outputs, pairs=pairs, rig=rig, progress=progress)
-    return list(fan_out(work, sources, jobs=options.jobs, what="cloud", progress=progress))
-
-
-def _one(
-    path: Path,
-    options: CloudOptions,
-    outputs: Mapping[Path, Path],
-    pairs: Mapping[Path, Path],
-    rig: RigPair | None,
-    progress: Progress,
-) -> CloudReport:
-    each = replace(options, disparity=path, output=outputs[path], jobs=1)
-    if rig is not None:
-        return _cloud(replace(each, image=str(pairs[path])), rig, progress)
-    named = [_image_of(path, Path(text)) if Path(text).is_dir() else text for text in options.files]
-    image, camera_file, *_ = (*named, None, None)
-    return _cloud(replace(each, image=image, camera_file=camera_file), None, progress)
-
-
-def _image_of(path: Path, folder: Path) -> str:
-    """Return the image of a folder that has the name of a map."""
-    found = sorted(image for image in folder.iterdir() if image.stem == path.stem and image.is_file())
-    if len(found) != 1:
-        raise FileError(f"holds {len(found)} images named {path.stem}, need one", where=str(folder))
-    return str(found[0])
-
-
-def folder_document(outcomes: list[Outcome[Path, CloudReport]]) -> dict[str, Any]:
-    """Return what became of the maps as plain data for --json."""
-    return {
-        "clouds": [document(outcome.value) for outcome in outcomes if outcome.value is not None],
-        "failed": [
-            {"source": outcome.item.as_posix(), "message": str(outcome.error)} for outcome in outcomes if outcome.error
-        ],
     }

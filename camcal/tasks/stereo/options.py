@@ -143,7 +143,7 @@ class StereoCheckOptions(OptionsRecord):
     ] = None
     recursive: Recursive = False
     jobs: Jobs = None
-    batch: Annotated[BatchOptions, Without(("timeout", "fail_fast", "resume", "scheduler"))] = DEFAULT_BATCH
+    batch: Annotated[BatchOptions, Without(("resume", "scheduler"))] = DEFAULT_BATCH
     overwrite: Overwrite = False
 
     def __post_init__(self) -> None:
@@ -195,7 +195,7 @@ class DisparityOptions(OptionsRecord):
     force: Force = False
     recursive: Recursive = False
     jobs: Jobs = None
-    batch: Annotated[BatchOptions, Without(("timeout", "fail_fast", "resume", "scheduler"))] = DEFAULT_BATCH
+    batch: Annotated[BatchOptions, Without(("resume", "scheduler"))] = DEFAULT_BATCH
     overwrite: Overwrite = False
 
     def __post_init__(self) -> None:
@@ -290,7 +290,7 @@ class EvalOptions(OptionsRecord):
         ),
     ] = ()
     jobs: Jobs = None
-    batch: Annotated[BatchOptions, Without(("timeout", "fail_fast", "resume", "scheduler"))] = DEFAULT_BATCH
+    batch: Annotated[BatchOptions, Without(("resume", "scheduler"))] = DEFAULT_BATCH
     figures: FigureOptions = NO_FIGURES
     overwrite: Overwrite = False
 

@@ -1,6 +1,6 @@
 """`camcal stereo rectify`: rectified pairs of images and videos, their camera file, masks and maps."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,7 @@ from camcal.run.paths import find_media, paired, refuse_collisions, split_addres
 from camcal.stereo.rectify.maps import PairMaps, build_pair_maps
 from camcal.stereo.rectify.options import RectifiedViewOptions
 from camcal.stereo.rectify.record import Rectification
-from camcal.tasks.calibration.drawing import Drawing, Drawn, require_success
+from camcal.tasks.calibration.drawing import Drawing, Drawn, Sources, require_success
 from camcal.tasks.calibration.undistort import suffix_of
 from camcal.tasks.given_camera import require_no_image
 from camcal.tasks.stereo.rectify_options import RectifyOptions
@@ -79,7 +79,7 @@ class RectifyReport:
     """
 
     rectification: Rectification
-    outcomes: Mapping[str, tuple[Outcome[Path, Drawn], ...]]
+    outcomes: Mapping[str, Sequence[Outcome[Path, Drawn]]]
     beside: Beside
     valid: Mapping[str, float]
 
@@ -108,14 +108,12 @@ def rectify(options: RectifyOptions, progress: Progress = SILENT) -> RectifyRepo
     beside = Beside.of(options, found)
     claim([*(path for each in outputs.values() for path in each.values()), *beside.all])
     maps = build_pair_maps(rig.cameras, found, options.interpolation, rig.circles)
-    outcomes = {}
-    for side, name in enumerate(rig.names):
-        drawing = Drawing(maps.left if name == found.left else maps.right, quality=options.quality)
-        videos = [pair[side] for pair in pairs.videos]
-        outcomes[name] = tuple(_drawn(drawing, outputs[name], videos, options, name, progress))
-    every = [outcome for each in outcomes.values() for outcome in each]
-    if every:
-        require_success(every)
+    drawing = Drawing({found.left: maps.left, found.right: maps.right}, quality=options.quality)
+    sources = {name: Sources(outputs[name], videos) for name, videos in _videos(options, pairs, rig.names).items()}
+    outcomes: dict[str, list[Outcome[Path, Drawn]]] = {name: [] for name in rig.names}
+    for name, outcome in drawing.outcomes(sources, options.jobs, options.batch, progress):
+        outcomes[name].append(outcome)
+    require_success([outcome for each in outcomes.values() for outcome in each])
     _write_beside(beside, options, rig, found, maps)
     valid = dict(zip((found.left, found.right), (float(mask.mean()) for mask in maps.valid), strict=True))
     return RectifyReport(found, outcomes, beside, valid)
@@ -176,20 +174,13 @@ def _places(options: RectifyOptions, pairs: _Pairs, names: tuple[str, str]) -> d
     return found
 
 
-def _drawn(
-    drawing: Drawing,
-    outputs: Mapping[Path, Path],
-    videos: Sequence[Path],
-    options: RectifyOptions,
-    name: str,
-    progress: Progress,
-) -> Iterator[Outcome[Path, Drawn]]:
-    """Yield what became of every image and every frame of one camera."""
-    if outputs:
-        yield from drawing.images(outputs, options.jobs, progress)
+def _videos(options: RectifyOptions, pairs: _Pairs, names: tuple[str, str]) -> dict[str, dict[Path, Path]]:
+    """Return the file that the frames of every video are named by, in a folder for each camera."""
     suffix = f".{options.format}" if options.format else _FRAME_SUFFIX
-    for video in videos:
-        yield from drawing.video(video, options.output / name / f"{video.stem}{suffix}", options.jobs, progress)
+    return {
+        name: {pair[side]: options.output / name / f"{pair[side].stem}{suffix}" for pair in pairs.videos}
+        for side, name in enumerate(names)
+    }
 
 
 def _write_beside(beside: Beside, options: RectifyOptions, rig: GivenRig, found: Rectification, maps: PairMaps) -> None:

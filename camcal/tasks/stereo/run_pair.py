@@ -11,7 +11,7 @@ from camcal.errors import InsufficientData, InvalidInput
 from camcal.images.load import load
 from camcal.images.save import save
 from camcal.messages import Message
-from camcal.progress import Silent
+from camcal.progress import Collected
 from camcal.report import cloud_view
 from camcal.report.cloud_scene import gather
 from camcal.report.cloud_view import Start
@@ -100,11 +100,11 @@ class PairRun:
         found = match_images(images, options.matching, jobs=self.jobs)
         own = DisparityOptions((), (), places.map, matching=options.matching)
         matched = write_map(images, found, MapFiles.beside(places.map), own, None)
-        heard = _Heard()
+        heard = Collected()
         how = CloudOptions(places.map, places.cloud, points=options.points, vertices=options.vertices, jobs=self.jobs)
         cloud = write_points(how, source_of_match(images, found), heard)
         page = _write_page(places, capture.name) if cloud.points else None
-        warnings = (*doubts, *matched.warnings, *heard.messages)
+        warnings = (*doubts, *matched.warnings, *heard.warnings)
         return RunPair(capture, places, check, matched.figures, cloud, page, warnings, matched.failures)
 
     def _rectified(self, capture: Capture) -> PairImages:
@@ -113,16 +113,6 @@ class PairRun:
         if self.rig.rectification.swapped:
             sources, pixels = sources[::-1], pixels[::-1]
         return rectified_pair(sources, pixels[0], pixels[1], self.rig)
-
-
-class _Heard(Silent):
-    """Keeps warnings, for a process that has nobody to tell them to."""
-
-    def __init__(self) -> None:
-        self.messages: list[Message] = []
-
-    def warn(self, message: Message) -> None:
-        self.messages.append(message)
 
 
 def _checked(images: PairImages) -> tuple[PairCheck | None, tuple[Message, ...]]:

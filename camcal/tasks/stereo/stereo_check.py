@@ -16,7 +16,7 @@ from camcal.messages import Message
 from camcal.progress import SILENT, Outcome, Progress, warn_of
 from camcal.report import stereo_words as words
 from camcal.report.stereo_pictures import SUFFIXES, picture_of
-from camcal.run.fanout import fan_out
+from camcal.run.fanout import fan_out, only_outcome
 from camcal.run.outputs import claim, writes
 from camcal.run.paths import find_pairs, place
 from camcal.stereo.pair.pair_check import PairCheck, check_pair
@@ -65,10 +65,12 @@ def stereo_check(options: StereoCheckOptions, progress: Progress = SILENT) -> li
     if rig is not None:
         warn_of(rig.rectification.warnings, progress)
     work = partial(_check_files, pictures=pictures, camera_file=options.camera_file, rig=rig)
+    jobs, batch = options.jobs, options.batch
     if len(pairs) == 1:
-        outcomes = [Outcome(pairs[0], work(pairs[0]))]
+        outcomes = [only_outcome(work, pairs[0], batch)]
     else:
-        outcomes = list(fan_out(work, pairs, jobs=options.jobs, processes=True, what="stereo check", progress=progress))
+        found = fan_out(work, pairs, jobs=jobs, batch=batch, processes=True, what="stereo check", progress=progress)
+        outcomes = list(found)
     for outcome in outcomes:
         if outcome.value is not None:
             _warn(outcome.value, progress)

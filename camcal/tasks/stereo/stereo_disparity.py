@@ -19,7 +19,7 @@ from camcal.images.save import save
 from camcal.messages import Message, as_data
 from camcal.progress import SILENT, Outcome, Progress, warn_of
 from camcal.report.stereo_pictures import disparity_picture, robust_range
-from camcal.run.fanout import fan_out
+from camcal.run.fanout import fan_out, only_outcome
 from camcal.run.outputs import claim, writes
 from camcal.run.paths import find_pairs, place
 from camcal.stereo.disparity import Confidence, Disparity
@@ -123,7 +123,9 @@ def stereo_disparity(options: DisparityOptions, progress: Progress = SILENT) -> 
     warn_of_file(options.camera_file, progress)
     work = partial(_match_files, options=options, outputs=outputs, rig=_rig(pairs, options, progress))
     if len(pairs) == 1:
-        return [Outcome(pairs[0], _warned(work(pairs[0], alone=True), progress))]
+        outcome = only_outcome(partial(work, alone=True), pairs[0], options.batch)
+        _warn(outcome, progress)
+        return [outcome]
     return list(_all_alike(pairs, work, options, progress))
 
 
@@ -159,13 +161,13 @@ def _all_alike(
     pairs: Sequence[Pair], work: "partial[MatchedPair]", options: DisparityOptions, progress: Progress
 ) -> Iterator[Outcome[Pair, MatchedPair]]:
     """Yield what becomes of several pairs, whose pictures have the colours of the first one's."""
+    jobs, batch, what = options.jobs, options.batch, "disparity"
     if options.picture:
-        for outcome in fan_out(work, pairs[:1]):
+        for outcome in fan_out(work, pairs[:1], batch=batch.keep_going):
             if outcome.value is not None:
                 work = partial(work, limits=outcome.value.limits)
-    for outcome in fan_out(work, pairs, jobs=options.jobs, processes=True, what="disparity", progress=progress):
-        if outcome.value is not None:
-            _warned(outcome.value, progress)
+    for outcome in fan_out(work, pairs, jobs=jobs, batch=batch, processes=True, what=what, progress=progress):
+        _warn(outcome, progress)
         yield outcome
 
 
@@ -296,9 +298,9 @@ def _settings(options: DisparityOptions) -> dict[str, Any]:
     return {"engine": OWN, "quality": options.matching.quality, "fill": options.matching.fill}
 
 
-def _warned(matched: MatchedPair, progress: Progress) -> MatchedPair:
-    warn_of((warning.at(matched.left) for warning in matched.warnings), progress)
-    return matched
+def _warn(outcome: Outcome[Pair, MatchedPair], progress: Progress) -> None:
+    if outcome.value is not None:
+        warn_of((warning.at(outcome.value.left) for warning in outcome.value.warnings), progress)
 
 
 def document(outcomes: Sequence[Outcome[Pair, MatchedPair]]) -> dict[str, Any]:

@@ -20,9 +20,9 @@ from camcal.images.load import load
 from camcal.images.save import save
 from camcal.messages import Message
 from camcal.parsing import did_you_mean
-from camcal.progress import SILENT, Outcome, Progress
+from camcal.progress import SILENT, Collected, Outcome, Progress, warn_of
 from camcal.report.stereo_pictures import error_picture
-from camcal.run.fanout import fan_out
+from camcal.run.fanout import fan_out, only_outcome
 from camcal.run.outputs import claim, writes
 from camcal.run.paths import paired, place, require_there
 from camcal.stereo.geometry import StereoGeometry
@@ -62,7 +62,7 @@ class PairReport:
     occlusion: str
     geometry: StereoGeometry | None
     picture: Path | None
-    warning: Message | None
+    warnings: tuple[Message, ...]
 
 
 @dataclass(frozen=True)
@@ -117,17 +117,12 @@ def stereo_eval(options: EvalOptions, progress: Progress = SILENT) -> EvalReport
     pairs = truth_pairs(options.files)
     pictures = _pictures(pairs, options.output)
     warn_of_file(options.camera_file, progress)
-    work = partial(_evaluate_pair, options=options, pictures=pictures, progress=progress)
-    if len(pairs) == 1:
-        outcomes = [Outcome(pairs[0], work(pairs[0]))]
-    else:
-        outcomes = list(fan_out(work, pairs, jobs=options.jobs, what="evaluate", progress=progress))
+    outcomes = _outcomes(pairs, pictures, options, progress)
     done = [outcome.value for outcome in outcomes if outcome.value is not None]
     if not done:
         raise next(outcome.error for outcome in outcomes if outcome.error is not None)
     for report in done:
-        if report.warning:
-            progress.warn(report.warning)
+        warn_of(report.warnings, progress)
     mean = mean_of([report.evaluation for report in done])
     for report in done:
         if unknown := _unknown(report.evaluation, mean):
@@ -177,20 +172,40 @@ def _pictures(pairs: Sequence[TruthPair], output: Path | None) -> dict[Path, Pat
     return pictures
 
 
-def _evaluate_pair(
-    files: TruthPair, options: EvalOptions, pictures: Mapping[Path, Path], progress: Progress
-) -> PairReport:
+def _outcomes(
+    pairs: Sequence[TruthPair], pictures: Mapping[Path, Path], options: EvalOptions, progress: Progress
+) -> list[Outcome[TruthPair, PairReport]]:
+    """Return what becomes of every pair; raises the error of a single one."""
+    work = partial(_evaluate_pair, options=options)
+    items = [_Item(pair.disparity, pair, pictures.get(pair.disparity)) for pair in pairs]
+    if len(items) == 1:
+        found = iter([only_outcome(work, items[0], options.batch)])
+    else:
+        found = fan_out(work, items, jobs=options.jobs, batch=options.batch, what="evaluate", progress=progress)
+    return [Outcome(outcome.item.pair, outcome.value, outcome.error) for outcome in found]
+
+
+class _Item(NamedTuple):
+    """A map, what it is compared with, and the picture that is drawn of it."""
+
+    map: Path
+    pair: TruthPair
+    picture: Path | None
+
+
+def _evaluate_pair(item: _Item, options: EvalOptions) -> PairReport:
+    files, picture = item.pair, item.picture
     found = disparity.read(files.disparity, options.scale)
     truth = disparity.read(files.truth, options.truth_scale)
     geometry = _geometry(options, found, (found.sidecar, truth.sidecar))
     values, true = found.matched(), truth.matched()
     visible, occlusion = _visible(files, options, true)
-    prediction = Prediction(*_predicted(files, found.sidecar, truth.scale, progress))
+    heard = Collected()
+    prediction = Prediction(*_predicted(files, found.sidecar, truth.scale, heard))
     try:
         evaluation = evaluate(values, true, visible, geometry, prediction)
     except InvalidInput as error:
         raise InvalidInput(error.message, where=str(files.disparity)) from error
-    picture = pictures.get(files.disparity)
     if picture is not None:
         save(picture, error_picture(np.abs(values - true), np.isfinite(true), visible))
     return PairReport(
@@ -201,7 +216,7 @@ def _evaluate_pair(
         occlusion=occlusion,
         geometry=geometry,
         picture=picture,
-        warning=_likely_scale(values, true, files),
+        warnings=(*heard.warnings, *_likely_scale(values, true, files)),
     )
 
 
@@ -254,19 +269,19 @@ def _predicted(
     )
 
 
-def _likely_scale(values: Array, truth: Array, files: TruthPair) -> Message | None:
+def _likely_scale(values: Array, truth: Array, files: TruthPair) -> tuple[Message, ...]:
     """Return a warning if one map looks as if its numbers were still counts: they are 4, 8, … times the other's."""
     both = (values > 0) & (truth > 0) & np.isfinite(values) & np.isfinite(truth)
     pairs = values[both][:: max(1, both.sum() // _SAMPLES)], truth[both][:: max(1, both.sum() // _SAMPLES)]
     if not pairs[0].size:
-        return None
+        return ()
     ratio = float(np.median(pairs[1] / pairs[0]))
     for option, times, path in (("--truth-scale", ratio, files.truth), ("--scale", 1 / ratio, files.disparity)):
         for scale in _LIKELY_SCALES:
             if abs(times / scale - 1) < _ALIKE:
                 text = f"disparities are {scale:g} times those of the other map: try {option} {scale:g}"
-                return Message("likely_scale", text, {"scale": scale}, str(path))
-    return None
+                return (Message("likely_scale", text, {"scale": scale}, str(path)),)
+    return ()
 
 
 def read_gate(text: str) -> Gate:

@@ -111,7 +111,9 @@ def require_good(report: RunReport, options: RunOptions) -> None:
 
 
 def _calibrated(options: RunOptions, path: Path, progress: Progress) -> RigReport:
-    settings = replace(options.settings, output=path, recursive=options.recursive, jobs=options.jobs)
+    settings = replace(
+        options.settings, output=path, recursive=options.recursive, jobs=options.jobs, batch=options.batch
+    )
     inputs = [f"{name}={images}" for name, images in zip(("left", "right"), options.inputs, strict=True)]
     command = command_line("stereo run", options)
     return calibrated(lambda: rig_views(inputs, settings, progress), settings, command, progress)
@@ -124,9 +126,9 @@ def _outcomes(
     width, height = rig.rectification.size
     alone = len(scene.names) == 1 or width * height > _LARGE
     run = PairRun(rig, options, options.jobs if alone else 1)
-    jobs = 1 if alone else options.jobs
+    jobs, batch, what = 1 if alone else options.jobs, options.batch, "stereo run"
     with closing(scene.captures()) as captures:
-        yield from fan_out(run, captures, jobs=jobs, processes=not alone, what="stereo run", progress=progress)
+        yield from fan_out(run, captures, jobs=jobs, batch=batch, processes=not alone, what=what, progress=progress)
 
 
 @dataclass(frozen=True, eq=False)
