@@ -292,6 +292,11 @@ def suffix_of(path: Path) -> str:
     return ".yaml" if lines and re.match(rb"%YAML|---|[\w.]+:(\s|$)", lines[0]) else ".csv"
 
 
+def stem_of(name: str) -> str:
+    """Return the name of an object as a part of a file's name: letters, digits, -, _ and . stay."""
+    return "".join(letter if letter.isalnum() or letter in "-_." else "_" for letter in name)
+
+
 def require_content(path: Path) -> None:
     """Raise FileError if the suffix of a text file and its content contradict each other, as YAML in a .json does."""
     suffix = {".yml": ".yaml"}.get(path.suffix.lower(), path.suffix.lower())

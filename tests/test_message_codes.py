@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from messages_page import PAGE, with_codes
+from test_layers import modules
 
 import camcal
 from camcal.errors import GateFailed
@@ -17,8 +18,8 @@ LISTED = [code for codes in CODES.values() for code in codes]
 
 def literal_codes(package: Path) -> Iterator[str]:
     """Yield the codes in calls of Message and of functions that pass them on."""
-    for path in sorted(package.rglob("*.py")):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for _, tree in modules(package):
+        for node in ast.walk(tree):
             if not isinstance(node, ast.Call) or not node.args or not isinstance(node.args[0], ast.Constant):
                 continue
             if getattr(node.func, "id", "") in {"Message", "_refused"} or getattr(node.func, "attr", "") == "warn":

@@ -109,10 +109,10 @@ def _show(inspection: "Inspection", options: InspectOptions, verbose: bool) -> N
             show.text(line)
         if entry.verdict is not None and (entry.verdict.trustworthy or entry.verdict.reasons):
             show.trust(entry.verdict.reasons)
-    for line in file_lines(inspection.file):
-        show.text(line)
     if inspection.rig is not None:
         _show_rig(inspection.rig)
+    for line in file_lines(inspection.file, verbose=verbose):
+        show.text(line)
     if verbose and (images := image_rows(inspection.file)):
         show.table("images", IMAGE_COLUMNS, images, verbose=True)
     if inspection.rig is not None and options.output is not None:

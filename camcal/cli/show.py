@@ -104,11 +104,11 @@ def wrote(*files: Path | str | None) -> None:
 
 
 def several(paths: Sequence[Path], noun: str) -> str | None:
-    """Return files in words for `wrote`: '20 images to undistorted/', a single one by its path, None for no file."""
-    folders = {path.parent for path in paths}
-    if len(paths) < 2 or len(folders) > 1:
+    """Return files in words for `wrote`: '20 images to left/, right/', a few by their paths, None for no file."""
+    folders = list(dict.fromkeys(path.parent for path in paths))
+    if len(paths) <= len(folders):
         return ", ".join(map(str, paths)) or None
-    return f"{len(paths)} {noun}s to {folders.pop()}{os.sep}"
+    return f"{len(paths)} {noun}s to {', '.join(f'{folder}{os.sep}' for folder in folders)}"
 
 
 def _lines_of(line: str) -> list[str]:

@@ -28,10 +28,10 @@ PAIR_COLUMNS = (
 def simulate(options: SimulateOptions, call: Call) -> None:
     """Render images of a board with a known camera, with ground truth.
 
-    The folder holds images/, truth.yaml (the camera and the board's shape), board.yaml, poses.csv (camera_T_board) and
-    corners.csv (true corner positions). The same options and seed give the same bytes. With --raw, flats/ and darks/
-    hold frames for `camcal sensor`, a folder for each exposure. With --stereo there is no board: the folder holds
-    left/, right/, disparity/ and disparity_right/ (exact), visible/ (white: visible in both images) and rig.yaml.
+    The folder holds images/, truth.yaml (the camera and the board's shape), board.yaml, poses.csv (true poses of the
+    board) and corners.csv (true corner positions). The same options and seed give the same bytes. With --raw, flats/
+    and darks/ hold frames for `camcal sensor`, a folder for each exposure. With --stereo there is no board: the folder
+    holds left/, right/, disparity/ and disparity_right/ (exact), visible/ (white: visible in both images) and rig.yaml.
     With the camera file of a rig the board is shown to all its cameras; images/ holds a folder for each of them.
     """
     if options.stereo:

@@ -10,7 +10,7 @@ from camcal.cameras.model import Camera, Rig
 from camcal.cameras.validity import ImageCircle
 from camcal.geometry.pose import Pose
 from camcal.report.cloud_scene import CloudScene
-from camcal.report.frusta import board_outline, frustum
+from camcal.report.frusta import board_outline, frustum, frustum_length
 from camcal.targets.board import Board
 
 FRAME = "x right, y down, z forward"
@@ -23,8 +23,6 @@ COLOURS = {  # of the cameras in their order
     "light blue": (70, 160, 220),
 }
 _BOARD, _ORIGIN = (150, 150, 150), (90, 90, 90)
-_LENGTH = 0.4  # of the distance between two cameras, for the frustum of one; without boards and baseline 0.1 m
-_OF_BOARDS = 0.15  # of the distance of the boards: frusta are no smaller
 _SAMPLES = 1500  # points along the scene's extent: lines are that dense
 _MOST = 400_000
 _BORDER = 12  # rays of each edge of an image
@@ -41,7 +39,7 @@ def rig_scene(
 
     boards: rig_T_board. board: its size, without which none is drawn. circles: image circles of cameras by their names.
     """
-    length = _frustum_length(rig, boards)
+    length = frustum_length(list(rig.rig_T_camera.values()), boards)
     parts: list[tuple[Array, tuple[int, int, int]]] = []
     colours = list(COLOURS.values())
     for index, (name, camera) in enumerate(rig.cameras.items()):
@@ -65,14 +63,6 @@ def rig_scene(
 def colour_name(index: int) -> str:
     """Return the name of the colour of a camera, by its place among them."""
     return list(COLOURS)[index % len(COLOURS)]
-
-
-def _frustum_length(rig: Rig, boards: Sequence[Pose]) -> float:
-    places = np.array([pose.translation for pose in rig.rig_T_camera.values()])
-    apart = np.linalg.norm(places[:, None] - places, axis=2)
-    nearest = [float(row[row > 0].min()) for row in apart if (row > 0).any()]
-    far = float(np.median([np.linalg.norm(pose.translation) for pose in boards])) if boards else 0.0
-    return max(_LENGTH * float(np.median(nearest)) if nearest else 0.1, _OF_BOARDS * far)
 
 
 def _frustum(camera: Camera, circle: ImageCircle | None, length: float) -> list[Array]:

@@ -61,6 +61,7 @@ def test_noise_alone_is_no_evidence_on_a_board_of_ten_thousand_corners():
     assert found.within_views.share == 0
 
 
+@pytest.mark.slow
 def test_belief_grows_with_the_errors_that_corners_share_from_nothing_to_all():
     scene = make_scene(count=12)
     views = scene.observe(1, noise_px=0.1)

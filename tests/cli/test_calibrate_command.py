@@ -208,14 +208,12 @@ def test_coverage_and_residuals_are_drawn_on_a_terminal_and_lines_in_a_pipe(run,
     assert not any("\x1b" in line or set(line) & set("┌│█+|#") for line in piped)
     monkeypatch.setattr("sys.stdout.isatty", lambda: True)
     monkeypatch.setenv("NO_COLOR", "1")
-    for columns in (80, 120):
-        monkeypatch.setenv("COLUMNS", str(columns))
-        out = run(*command)[1]
-        assert "\x1b" not in out
-        figure = out[out.index("corners: ") : out.index("└")].splitlines()
-        assert all("│" in line for line in figure)
-        assert 70 <= max(map(len, figure)) <= columns
-    assert run(*command, "--quiet")[1] == ""
+    monkeypatch.setenv("COLUMNS", "80")
+    out = run(*command)[1]
+    assert "\x1b" not in out
+    figure = out[out.index("corners: ") : out.index("└")].splitlines()
+    assert all("│" in line for line in figure)
+    assert 70 <= max(map(len, figure)) <= 80
     assert "┌" not in run(*command, "--json")[1]
 
 
@@ -290,6 +288,7 @@ def test_a_rejected_corner_is_off_by_pixels_or_out_of_the_model(residual, words)
     assert words in calibrate._how_far(corner)
 
 
+@pytest.mark.slow
 def test_fronto_parallel_views_end_with_exit_4_and_the_reason(run, tmp_path):
     rng = np.random.default_rng(2)
     flat = [

@@ -34,6 +34,7 @@ def video(tmp_path_factory):
     return path
 
 
+@pytest.mark.slow
 def test_a_video_is_calibrated_like_images(run, video, tmp_path):
     """Every frame shows another pose and has moved far since the one before: nothing is left out for that."""
     output = tmp_path / "camera.yaml"

@@ -46,6 +46,7 @@ def written(folder):
     return {path.name for path in folder.iterdir() if not path.name.startswith(".")}
 
 
+@pytest.mark.slow
 def test_calibrate_draws_its_figures_with_their_captions(run, results, tmp_path):
     figures = tmp_path / "figures"
     code, out, _ = run(

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from camcal.formats import boards, cameras, detections, native
+from camcal.formats import boards, cameras, detections, native, poses
 from camcal.images.load import load
 from camcal.targets.board import parse_board
 
@@ -43,18 +43,14 @@ def test_truth_poses_and_corners_fit_together(run, folder):
     run("simulate", BOARD, "-o", folder, *SMALL, "--bow-mm", "1", "0.5", "--twist-mm", "0.4", "--cubic-mm", "0.3")
     truth = native.read(folder / "truth.yaml")
     corners = detections.read(folder / "corners.csv")
-    rows = np.loadtxt(folder / "poses.csv", delimiter=",", skiprows=2, usecols=range(1, 11))
+    found = poses.read(folder / "poses.csv")
     points = truth.board_shape.points()
-    for view, row in zip(corners.views, rows, strict=True):
+    assert (found.frames, found.unit) == ("camera_T_object", "m")
+    for view, (key, record) in zip(corners.views, found.estimates.items(), strict=True):
         # The truth's shape leaves out what a pose takes, so the poses differ a little; the corners do not.
-        fitted = truth.cameras["camera"].camera.project(_moved(points, row)).pixels
+        fitted = truth.cameras["camera"].camera.project(record.transform.apply(points)).pixels
+        assert (key.image, record.n_points) == (view.image, len(view.ids))
         assert np.abs(fitted - view.pixels).max() < 1.5  # pixels: 1.5 mm of 400 mm at a field of 160 px
-
-
-def _moved(points, row):
-    from camcal.geometry.pose import Pose
-
-    return Pose.from_vector(row[7:10], row[:3]).apply(points)
 
 
 @pytest.mark.slow

@@ -10,6 +10,7 @@ from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.formats import detections, native
 from camcal.formats.camera_file import CameraEntry, CameraFile, Transform, pose_between
+from camcal.formats.poses import read as read_poses
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
 from camcal.targets.board import parse_board
@@ -33,9 +34,7 @@ def rig(tmp_path):
 
 
 def poses(folder):
-    lines = (folder / "poses.csv").read_text().splitlines()[2:]
-    rows = {line.split(",")[0]: np.array(line.split(",")[1:], float) for line in lines}
-    return {name: Pose.from_vector(row[7:], row[:3]) for name, row in rows.items()}
+    return {key.image: record.transform for key, record in read_poses(folder / "poses.csv").estimates.items()}
 
 
 def test_every_camera_of_a_rig_photographs_the_same_board(run, rig, tmp_path):
@@ -58,6 +57,7 @@ def test_every_camera_of_a_rig_photographs_the_same_board(run, rig, tmp_path):
         assert len(view.ids) == 35  # the whole board, in both
 
 
+@pytest.mark.slow
 def test_a_rig_that_was_simulated_is_calibrated_to_its_truth(run, rig, tmp_path):
     run("simulate", BOARD, rig, "-o", tmp_path / "scene", "--views", "12", "-j", 1, "-q")
     command = ("rig", tmp_path / "scene" / "corners.csv", "--board", BOARD, "-o", tmp_path / "found.yaml", "-j", 1)
@@ -98,6 +98,7 @@ def test_what_a_rig_cannot_do_is_refused(run, rig, tmp_path, options, said):
     assert not (tmp_path / "scene").exists()
 
 
+@pytest.mark.slow
 def test_a_moving_board_moves_smoothly_and_rests_at_its_first_pose(run, tmp_path):
     small = ("--size", "96x72", "-j", "1", "-q")
     assert run("simulate", BOARD, "-o", tmp_path / "scene", "--motion", "--views", "40", *small)[0] == 0

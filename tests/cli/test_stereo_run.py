@@ -187,6 +187,7 @@ def test_cameras_above_each_other_leave_upright_pictures(run, tmp_path):
         (["left", "right"], "camcal stereo calibrate LEFT RIGHT --board BOARD -o rig.yaml makes one"),
         (["rig.yaml", "left", "right", "--board", "chessboard:9x6:25mm"], "leave one out"),
         (["rig.yaml", "left", "right", "--scene", "a", "b"], "--scene goes with --board"),
+        (["rig.yaml", "left", "right", "--frame", "enu"], "--frame enu needs a pose for every pair"),
         (["rig.yaml", "left"], "expected LEFT RIGHT after the rig file"),
         (["left", "right", "more"], "a rig file ends in .yaml"),
         (["left"], "expected [RIG] LEFT RIGHT, found 1"),

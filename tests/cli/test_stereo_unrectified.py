@@ -124,6 +124,11 @@ def test_a_rig_of_three_asks_which_two(run, tmp_path, beside):
     chosen = f"{tmp_path / 'rig.yaml'}#left,right"
     assert run("stereo", "disparity", *pair, chosen, "-o", tmp_path / "map.tiff", "--quality", "fast")[0] == 0
     assert Path(tmp_path / "map.tiff").exists()
+    check = ("stereo", "check", *pair, tmp_path / "rig.yaml")
+    assert run(*check)[0] == 2
+    by_option, by_address = run(*check, "--camera", "left,right"), run(*check[:-1], chosen)
+    assert by_option == by_address
+    assert by_option[0] == 0
 
 
 @pytest.mark.parametrize("images", [("left",), ()])

@@ -43,9 +43,8 @@ def displacements(camera, parameters, pixels, fitted):
     return projected.pixels - pixels
 
 
-@pytest.mark.parametrize(
-    "observed", [pytest.param(None, id="image", marks=pytest.mark.slow), pytest.param(CORNERS, id="corners")]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("observed", [pytest.param(None, id="image"), pytest.param(CORNERS, id="corners")])
 def test_drawn_lenses_scatter_as_the_map_says(observed):
     camera = opencv5()
     found = projection_uncertainty(camera, observed=observed, grid=(9, 7))

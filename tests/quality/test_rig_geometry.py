@@ -69,6 +69,7 @@ def test_the_spread_of_baseline_and_rotation_is_that_of_samples():
     assert rotation_angle(TOED_IN, root @ root.T).std == pytest.approx(np.std(angles), rel=0.06)
 
 
+@pytest.mark.slow
 def test_errors_of_the_calibration_are_those_of_rigs_drawn_from_its_covariance():
     rng = np.random.default_rng(2)
     rig = pair(TOED_IN, FISHEYE)

@@ -57,7 +57,7 @@ def _start(command: list[str]) -> tuple[subprocess.Popen[bytes], BinaryIO, Binar
     """Return a running browser, which reads commands from its descriptor 3 and writes answers to 4."""
     (its_input, commands), (answers, its_output) = os.pipe(), os.pipe()
     # Out of the way of 3 and 4 themselves, which the pipes may have been given.
-    theirs = [fcntl.fcntl(descriptor, fcntl.F_DUPFD, 10) for descriptor in (its_input, its_output)]
+    theirs = [fcntl.fcntl(descriptor, fcntl.F_DUPFD_CLOEXEC, 10) for descriptor in (its_input, its_output)]
 
     def connect() -> None:
         for descriptor, number in zip(theirs, (3, 4), strict=True):
@@ -67,7 +67,8 @@ def _start(command: list[str]) -> tuple[subprocess.Popen[bytes], BinaryIO, Binar
     process = subprocess.Popen(
         command,
         preexec_fn=connect,  # noqa: PLW1509 - it calls dup2 and nothing else
-        pass_fds=(3, 4),
+        # Not pass_fds=(3, 4): it fails where these were files of fonts, which matplotlib closes in a forked process.
+        close_fds=False,
         stdout=nowhere,
         stderr=nowhere,
     )

@@ -124,6 +124,7 @@ def rendered():
     yield np.ascontiguousarray(shown(BOARD)[:, ::-1])
 
 
+@pytest.mark.slow
 def test_the_image_tells_where_rows_end():
     taller = replace(BOARD, rows=7)
     image = shown(BOARD)

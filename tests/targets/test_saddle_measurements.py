@@ -16,7 +16,7 @@ PIXELS, STEPS = GRID.reshape(-1, 2), grids.steps(GRID).reshape(-1, 2, 2)
 CLOSE = 0.15  # px: samples lie a pixel or two apart
 
 
-@pytest.mark.parametrize("blur", [0.5, 1.5, 4.0])
+@pytest.mark.parametrize("blur", [0.5, pytest.param(1.5, marks=pytest.mark.slow), 4.0])
 def test_corners_a_few_pixels_away_are_found_whatever_the_blur(blur):
     image = picture(BOARD, TILTED, SIZE, blur=blur, noise=2.0)
     start = PIXELS + np.random.default_rng(0).uniform(-3, 3, PIXELS.shape)

@@ -22,6 +22,7 @@ from matplotlib.figure import Figure, FigureBase
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 from camcal.errors import InvalidInput
+from camcal.files import stem_of
 
 _CANVASES: dict[str, Any] = {".png": FigureCanvasAgg, ".svg": FigureCanvasSVG, ".pdf": FigureCanvasPdf}
 SUFFIXES = tuple(_CANVASES)
@@ -190,8 +191,7 @@ def beside(name: str, title: str, plots: Sequence[Plot], *, below: bool = False)
 
 def of_part(plots: Sequence[Plot], part: str) -> tuple[Plot, ...]:
     """Return figures that are about a part of a result, such as one camera: its name is in their names and titles."""
-    stem = "".join(letter if letter.isalnum() or letter in "-_." else "_" for letter in part)
-    return tuple(replace(plot, name=f"{stem}_{plot.name}", title=f"{plot.title}, {part}") for plot in plots)
+    return tuple(replace(plot, name=f"{stem_of(part)}_{plot.name}", title=f"{plot.title}, {part}") for plot in plots)
 
 
 def line_colours(theme: Theme) -> ListedColormap:

@@ -13,6 +13,8 @@ from camcal.calibrate.jackknife import CandidateModel
 from camcal.calibrate.rigs.record import RigCalibration
 from camcal.cameras.model import Camera
 from camcal.cameras.validity import ImageCircle
+from camcal.files import stem_of
+from camcal.formats.camera_file import STEP
 from camcal.geometry.pose import Pose
 from camcal.messages import counted
 from camcal.quality.projection_uncertainty import ProjectionUncertainty
@@ -27,13 +29,9 @@ from camcal.report.figures.calibration import (
 )
 from camcal.report.figures.figure import DIVERGING_MAP, WIDTH, Plot, Theme, of_part
 from camcal.report.figures.image_plane import colour_bar
-from camcal.report.frusta import board_outline
+from camcal.report.frusta import board_outline, frustum_length
 from camcal.report.uncertain import value_and_std
 from camcal.targets.board import Board
-
-_LENGTH = 0.4  # of the distance between cameras: of a frustum
-_OF_BOARDS = 0.12  # of the distance of the boards: frusta are no smaller
-_STEP = ("tx", "ty", "tz", "rx", "ry", "rz")
 
 
 def rig_plots(
@@ -84,8 +82,7 @@ def rig_in_space(
     """Return the cameras of a rig as frusta in its frame, with the boards that they saw; metres."""
     places = np.array([rig_T_camera[name].translation for name in cameras])
     apart = np.linalg.norm(places[:, None] - places, axis=2)
-    far = float(np.median([np.linalg.norm(pose.translation) for pose in rig_T_board])) if rig_T_board else 0.0
-    length = max(_LENGTH * float(apart.max()) / max(len(places) - 1, 1), _OF_BOARDS * far) or 0.1
+    length = frustum_length([rig_T_camera[name] for name in cameras], rig_T_board)
     boards = [] if board is None else [pose.apply(board_outline(board)) for pose in rig_T_board]
     lines = {
         name: [rig_T_camera[name].apply(line) for line in camera_lines(own, length)] for name, own in cameras.items()
@@ -196,16 +193,15 @@ def baseline_covariance(calibration: RigCalibration, camera: str) -> Plot:
     def draw(figure: FigureBase, _: Theme) -> None:
         axes = figure.subplots()
         image = axes.imshow(correlation_matrix(covariance), cmap=DIVERGING_MAP, vmin=-1, vmax=1)
-        axes.set_xticks(range(6), _STEP)
-        axes.set_yticks(range(6), [f"{step} ± {text}" for step, text in zip(_STEP, scaled, strict=True)])
+        axes.set_xticks(range(6), STEP)
+        axes.set_yticks(range(6), [f"{step} ± {text}" for step, text in zip(STEP, scaled, strict=True)])
         axes.set_xlabel("step of the pose (translation, rotation)")
         axes.set_ylabel("step ± 1 σ, mm and degrees")
         colour_bar(axes, image, "correlation")
 
-    stem = "".join(letter if letter.isalnum() else "_" for letter in name)
-    words = ", ".join(f"{step} {text}" for step, text in zip(_STEP, scaled, strict=True))
+    words = ", ".join(f"{step} {text}" for step, text in zip(STEP, scaled, strict=True))
     return Plot(
-        f"covariance_{stem}",
+        f"covariance_{stem_of(name)}",
         f"Uncertainty of {name}",
         f"Baseline {shown} mm. Standard deviations of the pose and correlations of its errors: {words}.",
         f"Matrix of correlations of the six parameters of {name}: {words}.",

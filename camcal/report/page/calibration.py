@@ -23,7 +23,6 @@ from camcal.report.page.verdict import checks_table, verdict
 from camcal.report.uncertain import held_by_prior_words, number_text, projection_words, value_and_std, value_with_std
 from camcal.targets.surface import RATIOS, Surface
 
-_LISTED = 20  # images in a table that is not folded
 _NOT_IN_IDS = re.compile(r"[^A-Za-z0-9]+")
 _STRONG = 0.9  # correlations that are listed
 
@@ -194,12 +193,8 @@ def images_section(camera: CalibratedCamera) -> Section:
         ]
         for view in calibration.views
     ]
-    table = Table.of(
-        f"All images{camera.owner}",
-        ("image", "used", "corners", "RMS, px", "not used because"),
-        rows,
-        folded=len(rows) > _LISTED,
-    )
+    heads = ("image", "used", "corners", "RMS, px", "not used because")
+    table = Table.of(f"All images{camera.owner}", heads, rows)
     return Section(f"{camera.prefix}images", "Images", [words], tables=[table], thumbnails=shown)
 
 

@@ -5,8 +5,6 @@ from typing import Any
 
 from camcal.report.page.record import Section, Table
 
-_LISTED = 20
-
 
 def origin_section(provenance: Mapping[str, Any], environment: Mapping[str, str], lines: Sequence[str]) -> Section:
     """Return the section on versions, inputs with their hashes, and the command; lines: what else was reported."""
@@ -17,8 +15,7 @@ def origin_section(provenance: Mapping[str, Any], environment: Mapping[str, str]
     tables = [Table.of("Program, machine and board", ("what", "value"), rows)]
     images = [_image_row(image) for image in provenance.get("images", []) if isinstance(image, Mapping)]
     if images:
-        heads = ("file", "SHA-256")
-        tables.append(Table.of("Inputs", heads, images, folded=len(images) > _LISTED))
+        tables.append(Table.of("Inputs", ("file", "SHA-256"), images))
     return Section("provenance", "Provenance", list(lines), tables=tables)
 
 

@@ -9,6 +9,7 @@ from camcal.report.table import Column
 GOOD, WEAK, BAD, REFUSED, UNKNOWN = "good", "weak", "bad", "refused", "unknown"
 FAILURE, WARNING = "failure", "warning"
 
+_LISTED = 20  # rows of a table that is not folded
 _NUMBER = re.compile(r"[+-]?[\d.]+(e[+-]?\d+)?( / \d+)?")
 
 
@@ -76,9 +77,10 @@ class Table:
     def of(
         cls, caption: str, heads: Sequence[str], rows: Sequence[Sequence[object]], *, folded: bool = False
     ) -> "Table":
-        """Return a table of cells; those of None are empty."""
+        """Return a table of cells; those of None are empty. A long one is folded in any case."""
         cells = [["" if cell is None else str(cell) for cell in row] for row in rows]
-        return cls(caption, heads, cells, [_holds_numbers(column) for column in zip(*cells, strict=True)], folded)
+        numeric = [_holds_numbers(column) for column in zip(*cells, strict=True)]
+        return cls(caption, heads, cells, numeric, folded or len(cells) > _LISTED)
 
     @classmethod
     def under(cls, caption: str, columns: Sequence[Column], rows: Sequence[Sequence[object]]) -> "Table":

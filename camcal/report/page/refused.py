@@ -11,8 +11,6 @@ from camcal.report.page.verdict import refusal
 from camcal.targets.board import Board
 from camcal.targets.detection import BoardDetection
 
-_LISTED = 20
-
 
 def refused_page(
     title: str,
@@ -59,5 +57,4 @@ def _thumbnails(views: Sequence[BoardDetection], photos: Mapping[str, str]) -> l
 
 def _table(views: Sequence[BoardDetection]) -> Table:
     rows = [[photo_key(view.camera, view.image), f"{len(view.ids)}", view.reason or ""] for view in views]
-    heads = ("image", "corners", "no corners because")
-    return Table.of("All images", heads, rows, folded=len(rows) > _LISTED)
+    return Table.of("All images", ("image", "corners", "no corners because"), rows)

@@ -7,6 +7,7 @@ import numpy as np
 
 from camcal.calibrate.jackknife import CandidateModel
 from camcal.calibrate.rigs.record import RigCalibration
+from camcal.formats.camera_file import STEP
 from camcal.messages import Message, counted
 from camcal.quality.rig_geometry import PairGeometry
 from camcal.report.calibration import CANDIDATE_COLUMNS, candidate_rows
@@ -26,9 +27,7 @@ from camcal.report.rig import (
 )
 from camcal.report.uncertain import value_and_std
 
-_AXES = ("tx", "ty", "tz", "rx", "ry", "rz")
 _UNITS = ("mm", "mm", "mm", "deg", "deg", "deg")
-_LISTED = 20  # captures in a table that is not folded
 _OF_CAPTURES = ("epipolar_errors", "exposure_motion")  # figures beside the table of captures
 _COMMON = ("board", "models")  # sections that cameras have in common
 
@@ -124,12 +123,7 @@ def _captures(found: RigCalibration) -> Section:
     errors = found.epipolar_by_capture
     order = np.argsort(-np.nan_to_num(errors, nan=-1.0), kind="stable").tolist()
     rows = [[found.captures[index], "" if np.isnan(errors[index]) else f"{errors[index]:.3g}"] for index in order]
-    table = Table.of(
-        "Epipolar error by capture, the largest first",
-        ("capture", "RMS, px"),
-        rows,
-        folded=len(rows) > _LISTED,
-    )
+    table = Table.of("Epipolar error by capture, the largest first", ("capture", "RMS, px"), rows)
     motion = found.motion
     if motion is None:
         words = "The cameras of a capture are taken to have exposed together."
@@ -151,11 +145,6 @@ def _steps(found: RigCalibration) -> Table:
             stds = [*(1e3 * std[:3]), *np.degrees(std[3:])]
             rows += [
                 [f"{found.transform_name(name)}, {axis}", *value_and_std(value, spread), unit]
-                for axis, value, spread, unit in zip(_AXES, values, stds, _UNITS, strict=True)
+                for axis, value, spread, unit in zip(STEP, values, stds, _UNITS, strict=True)
             ]
-    return Table.of(
-        "Translation and rotation vector",
-        ("part", "value", "± std", "unit"),
-        rows,
-        folded=True,
-    )
+    return Table.of("Translation and rotation vector", ("part", "value", "± std", "unit"), rows, folded=True)

@@ -33,7 +33,7 @@ detections.csv    the corners that were found in the images; a calibration can s
 camera.yaml       the result: the camera as it was estimated, with standard deviations and the board's shape
 undistorted/      one image with straight lines, and the camera file that fits it
 truth.yaml        the camera and the board's bend as they truly are; nothing but this folder knows them
-poses.csv         where the board truly was in every image: camera_T_board takes board points to the camera
+poses.csv         where the board truly was in every image: camera_T_object takes points of the board to the camera
 corners.csv       where the corners truly are in the images
 
 What to try next, in this folder

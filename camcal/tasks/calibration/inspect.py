@@ -142,11 +142,11 @@ def _figures(figures: Mapping[str, float]) -> str:
     return ", ".join(words)
 
 
-def file_lines(file: CameraFile) -> Iterator[str]:
-    """Yield what a file holds beside its cameras, a line each."""
-    yield from (f"{name}: {_transform_words(item)}" for name, item in file.transforms.items())
+def file_lines(file: CameraFile, *, verbose: bool = True) -> Iterator[str]:
+    """Yield what a file holds beside its cameras, a line each; verbose: the terms of the board's shape too."""
+    yield from transform_lines(file)
     if file.board_shape is not None:
-        yield from _board_lines(file.board_shape)
+        yield from _board_lines(file.board_shape, verbose=verbose)
     if source := file.converted_from:
         yield f"converted from {source['file']} ({source['format']})"
     provenance = file.provenance
@@ -156,6 +156,11 @@ def file_lines(file: CameraFile) -> Iterator[str]:
         yield f"with {provenance['command']}"
     if images := _images(file):
         yield f"from {sum(image.get('used', True) for image in images)} of {len(images)} images"
+
+
+def transform_lines(file: CameraFile) -> Iterator[str]:
+    """Yield how far apart the cameras of a file are, a line for each transform."""
+    yield from (f"{name}: {_transform_words(item)}" for name, item in file.transforms.items())
 
 
 def _images(file: CameraFile) -> list[Any]:
@@ -170,10 +175,12 @@ def _transform_words(transform: Transform) -> str:
     return f"{distance:.6g} m apart, rotated by {angle:.3f}°"
 
 
-def _board_lines(surface: Surface) -> Iterator[str]:
+def _board_lines(surface: Surface, *, verbose: bool) -> Iterator[str]:
     factor, unit = (1e3, "mm") if surface.board.unit == "m" else (1.0, "squares")
     bend, std = value_and_std(factor * surface.deflection, factor * surface.deflection_std)
     yield f"board {surface.board.words}, bent by {bend} ± {std} {unit} peak to peak"
+    if not verbose:
+        return
     for term, value, spread in zip(surface.terms, surface.coefficients, surface.coefficients_std(), strict=True):
         scale, what = (100.0, "%") if term in RATIOS else (factor, unit)
         shown, sigma = value_and_std(scale * float(value), scale * float(spread))

@@ -280,8 +280,7 @@ def _plots(plot: Path, names: Sequence[str]) -> list[Path]:
     """Return the picture of every object: of several, the object's name is added to the file's."""
     if len(names) == 1:
         return [plot]
-    safe = ["".join(letter if letter.isalnum() or letter in "-_." else "_" for letter in name) for name in names]
-    paths = {Path(name): plot.with_stem(f"{plot.stem}_{text}") for name, text in zip(names, safe, strict=True)}
+    paths = {Path(name): plot.with_stem(f"{plot.stem}_{files.stem_of(name)}") for name in names}
     refuse_collisions(paths)
     return list(paths.values())
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from camcal.formats import documents, native
-from camcal.formats.camera_file import CameraEntry, CameraFile
+from camcal.formats.camera_file import STEP, CameraEntry, CameraFile
 
 EQUAL = 1e-6  # standard deviations
 _FEW = 100.0  # degrees of freedom, where a file does not say them
@@ -88,7 +88,7 @@ def _transforms(before: CameraFile, after: CameraFile) -> Iterator[Difference]:
         stds = np.zeros(6) if old.covariance is None else np.sqrt(np.diag(old.covariance))
         step = (new.pose @ old.pose.inverse()).vector()
         moved = [*(new.pose.translation - old.pose.translation), *step]
-        for axis, value, std in zip(("tx", "ty", "tz", "rx", "ry", "rz"), moved, stds.tolist(), strict=True):
+        for axis, value, std in zip(STEP, moved, stds.tolist(), strict=True):
             yield from _figure(f"{name}.{axis} change", 0.0, float(value), std)
 
 

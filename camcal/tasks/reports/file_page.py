@@ -16,11 +16,10 @@ from camcal.report.page.record import BAD, GOOD, UNKNOWN, Figure, Page, PageVerd
 from camcal.report.page.render import rendered
 from camcal.report.page.verdict import shown_messages, shown_reasons
 from camcal.report.rig import DEPTH_COLUMNS, PAIR_COLUMNS, depth_rows, pair_rows
-from camcal.tasks.calibration.inspect import Inspection, camera_lines, file_lines, image_rows, parameter_rows
+from camcal.tasks.calibration.inspect import Inspection, camera_lines, image_rows, parameter_rows, transform_lines
 from camcal.tasks.reports.closing import made
 from camcal.tasks.reports.environment import environment
 
-_LISTED = 20
 _REST = (
     "Residuals, coverage, poses and images are not in this file. They need the detections: camcal report DETECTIONS, "
     "or --report with camcal calibrate and camcal rig."
@@ -108,7 +107,7 @@ def _uncertainty(entry: CameraEntry) -> Iterator[Plot]:
 
 
 def _rig(inspection: Inspection) -> Iterator[Section]:
-    lines = [f"{line}." for line in file_lines(inspection.file) if "_T_" in line.partition(":")[0]]
+    lines = [f"{line}." for line in transform_lines(inspection.file)]
     rig = inspection.rig
     if rig is None:
         if lines:
@@ -135,5 +134,5 @@ def _board(file: CameraFile) -> Iterator[Section]:
 def _images(file: CameraFile) -> Iterator[Section]:
     if rows := image_rows(file):
         heads = ("image", "points", "RMS, px", "not used because")
-        table = Table.of("Images of the calibration", heads, rows, folded=len(rows) > _LISTED)
+        table = Table.of("Images of the calibration", heads, rows)
         yield Section("images", "Images", tables=[table])

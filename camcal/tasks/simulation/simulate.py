@@ -18,10 +18,10 @@ from camcal import files
 from camcal.cameras.catalogue import DEFAULT_MODEL, model_named
 from camcal.cameras.model import Camera
 from camcal.errors import CamcalError, InvalidInput
-from camcal.formats import boards, cameras, detections, native, provenance
+from camcal.formats import boards, cameras, detections, native, poses, provenance
 from camcal.formats.camera_file import CameraEntry, CameraFile, Transform, ValidRegion, rig_of
-from camcal.formats.emit import number_text
-from camcal.geometry import rotation as so3
+from camcal.formats.poses import PoseKey, PoseRecord
+from camcal.formats.poses.record import PixelNoise
 from camcal.geometry.pose import Pose
 from camcal.images.save import save
 from camcal.options import command_line
@@ -51,8 +51,6 @@ MIN_CAMERAS = 2  # of a rig
 MAX_VIEWS = 10_000  # view names have four digits
 
 STRONGEST_BEND = 0.05  # peak to peak, as a share of the board's larger side
-
-_POSE_COLUMNS = ("image", "tx", "ty", "tz", "qw", "qx", "qy", "qz", "rx", "ry", "rz")
 
 MARK = "x_simulation"  # the key under which the truth says how the images were made
 
@@ -252,7 +250,7 @@ def _write_truth(folder: Path, scenes: Sequence[Scene], rig: CameraFile | None, 
     ]
     native.write(folder / TRUTH, truth_file(scenes, rig, options))
     boards.write(folder / BOARD, board)
-    files.write_text(folder / POSES, _poses_text(scenes))
+    poses.write(folder / POSES, _true_poses(scenes))
     detections.write(folder / CORNERS, found := Detections(board, tuple(corners)))
     return found
 
@@ -300,13 +298,17 @@ def surface_of(shape: Shape, board: Board) -> Surface:
     )
 
 
-def _poses_text(scenes: Sequence[Scene]) -> str:
-    unit = scenes[0].truth.board.unit
-    lines = [f"# camcal-poses 1 frames=camera_T_board unit={unit}", ",".join(_POSE_COLUMNS)]
-    for image, pose in ((scene.image(view), pose) for scene in scenes for view, pose in enumerate(scene.truth.poses)):
-        numbers = [*pose.translation, *so3.to_quaternion(pose.rotation), *pose.vector()]
-        lines.append(",".join([image, *(number_text(float(number)) for number in numbers)]))
-    return "\n".join(lines) + "\n"
+def _true_poses(scenes: Sequence[Scene]) -> poses.Poses:
+    """Return the poses of the board in all images, as `camcal pnp` would find them without any error."""
+    exact = np.zeros((6, 6))
+    estimates = {
+        PoseKey(scene.image(index)): PoseRecord(
+            pose, exact, exact, "ok", rms_px=0.0, max_px=0.0, n_points=len(view.ids), n_inliers=len(view.ids)
+        )
+        for scene in scenes
+        for index, (pose, view) in enumerate(zip(scene.truth.poses, scene.corners.views, strict=True))
+    }
+    return poses.Poses("camera_T_object", scenes[0].truth.board.unit, PixelNoise(0.0), estimates)
 
 
 def document(report: SimulateReport, options: SimulateOptions) -> dict[str, Any]:

@@ -93,7 +93,7 @@ class VertexOptions(OptionsRecord):
         str | None,
         Option(
             "camera (the left camera before rectification: the default where camcal rectified the images), optical "
-            "(the rectified left camera: x right, y down, z forward), ros, opengl, enu (with --pose).",
+            "(the rectified left camera: x right, y down, z forward), ros, opengl.",
             metavar="NAME",
             group=POINTS,
         ),
@@ -102,7 +102,8 @@ class VertexOptions(OptionsRecord):
     pose: Annotated[
         Path | None,
         Option(
-            "world_T_camera (4 x 4 numbers or a TUM line), to write points in the world frame.",
+            "world_T_camera (4 x 4 numbers or a TUM line), to write points in the world frame; --frame enu for one "
+            "of east, north and up.",
             metavar="FILE",
             group=POINTS,
         ),

@@ -115,9 +115,9 @@ def _view_suffixes() -> tuple[str, ...]:
 class StereoCheckOptions(OptionsRecord):
     """Pairs (files, folders, patterns of either side), where their pictures go, and what they must hold.
 
-    camera_file: as of DisparityOptions; of cameras above each other columns are checked. output: a file for a single
-    pair, otherwise a folder. max_rms: the largest root mean square that rows may be off, pixels; with it, pairs that
-    are swapped or one image twice fail too.
+    camera_file: as of DisparityOptions; of cameras above each other columns are checked. camera: the left one in it, or
+    both as LEFT,RIGHT. output: a file for a single pair, otherwise a folder. max_rms: the largest root mean square that
+    rows may be off, pixels; with it, pairs that are swapped or one image twice fail too.
     """
 
     left: Annotated[
@@ -129,6 +129,7 @@ class StereoCheckOptions(OptionsRecord):
         Argument("The right image, or as many as there are left ones.", metavar="RIGHT", type=ONE_SIDE),
     ]
     camera_file: PairCamera = None
+    camera: CameraName = None
     output: Annotated[
         Path | None,
         output_option("A picture of the check (.png); a folder for several pairs.", Written((".png",), folder=True)),

@@ -113,6 +113,8 @@ class RunOptions(OptionsRecord):
             raise InvalidInput("--board calibrates the cameras, which the rig file is for already: leave one out")
         if self.rig is not None and self.scene is not None:
             raise InvalidInput("--scene goes with --board; with a rig file LEFT and RIGHT are the scene")
+        if self.vertices.frame == "enu":
+            raise InvalidInput("--frame enu needs a pose for every pair: use 'camcal stereo cloud --pose FILE'")
 
     @property
     def rig(self) -> str | None:

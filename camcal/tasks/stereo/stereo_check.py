@@ -1,6 +1,6 @@
 """`camcal stereo check`: checks of rectified pairs before matching."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -20,9 +20,10 @@ from camcal.run.fanout import fan_out, only_outcome
 from camcal.run.outputs import claim, writes
 from camcal.run.paths import find_pairs, place
 from camcal.stereo.pair.pair_check import PairCheck, check_pair
+from camcal.tasks.given_camera import Size
 from camcal.tasks.stereo.options import GeometryOptions, StereoCheckOptions
 from camcal.tasks.stereo.pair_matching import PairImages, read_pair
-from camcal.tasks.stereo.rectified_pair import pair_of, warn_of_file
+from camcal.tasks.stereo.rectified_pair import RectifiedPair, pair_of, warn_of_file
 from camcal.tasks.stereo.rig_pair import RigPair, unrectified_pair
 
 _SUFFIX = "_check.png"
@@ -61,10 +62,11 @@ def stereo_check(options: StereoCheckOptions, progress: Progress = SILENT) -> li
     pairs = find_pairs(options.left, options.right, options.recursive)
     pictures = _pictures(pairs, options.output)
     warn_of_file(options.camera_file, progress)
-    rig = unrectified_pair(options.camera_file, None, lambda: load(pairs[0][0]).size)
+    rig = unrectified_pair(options.camera_file, options.camera, lambda: load(pairs[0][0]).size)
     if rig is not None:
         warn_of(rig.rectification.warnings, progress)
-    work = partial(_check_files, pictures=pictures, camera_file=options.camera_file, rig=rig)
+    known = partial(pair_of, GeometryOptions(camera=options.camera), options.camera_file)
+    work = partial(_check_files, pictures=pictures, known=known, rig=rig)
     jobs, batch = options.jobs, options.batch
     if len(pairs) == 1:
         outcomes = [only_outcome(work, pairs[0], batch)]
@@ -131,9 +133,9 @@ def _pictures(pairs: Sequence[Pair], output: Path | None) -> Mapping[Path, Path]
 
 
 def _check_files(
-    pair: Pair, pictures: Mapping[Path, Path], camera_file: str | None = None, rig: RigPair | None = None
+    pair: Pair, pictures: Mapping[Path, Path], known: Callable[[Size], RectifiedPair], rig: RigPair | None
 ) -> CheckedPair:
-    images = read_pair(pair, rig, partial(pair_of, GeometryOptions(), camera_file))
+    images = read_pair(pair, rig, known)
     left, right = images.paths
     try:
         check = check_images(images)
