@@ -339,7 +339,7 @@ class PlotOptions(OptionsRecord):
         tuple[str, ...],
         Argument(
             "Results of camcal: camera and rig files, detections, poses, trajectories, tracks, series, disparity maps, "
-            "sensor files, fits.",
+            "sensor files, fits, some --json documents.",
             metavar="FILE…",
             required=True,
         ),

@@ -38,7 +38,7 @@ _FIT = mapping(
 
 def sensor_file_plots(content: Document) -> tuple[Plot, ...]:
     """Return the photon transfer and the signal-to-noise ratio of a sensor file; raises InvalidInput for its faults."""
-    _require(content, _SENSOR)
+    require(content, _SENSOR)
     figures = {name: float(item["value"]) for name, item in content["figures"].items() if "value" in item}
     curves = {}
     for name, own in content["curves"].items():
@@ -56,7 +56,7 @@ def fit_file_plots(content: Document) -> tuple[Plot, ...]:
 
     Raises InvalidInput for its faults, or where it has no standard errors.
     """
-    _require(content, _FIT)
+    require(content, _FIT)
     parameters = content["parameters"]
     known = [name for name in content["free"] if "std" in parameters.get(name, {})]
     if not known:
@@ -69,6 +69,7 @@ def fit_file_plots(content: Document) -> tuple[Plot, ...]:
     return errors, matrix_plot(content["free"], matrix, "parameter", f"Correlations of {content['model']}")
 
 
-def _require(content: Document, check: Check) -> None:
+def require(content: Document, check: Check) -> None:
+    """Raise InvalidInput if a document does not pass a check."""
     if faults := list(check(content.data, "")):
         raise content.error(faults)

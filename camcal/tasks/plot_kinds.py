@@ -1,6 +1,7 @@
 """What a result file is, and the figures of it."""
 
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -17,15 +18,17 @@ from camcal.formats.trajectories import tracked
 from camcal.progress import Progress
 from camcal.report.figures.camera_files import camera_file_plots, detection_plots, pose_plots
 from camcal.report.figures.disparity_errors import disparity_map
-from camcal.report.figures.figure import Plot
+from camcal.report.figures.figure import Plot, of_part
 from camcal.report.figures.over_time import Panel, over_time
 from camcal.report.figures.trajectories import path_of, trajectory_plots
 from camcal.tasks.plot_documents import FIT, SENSOR, fit_file_plots, sensor_file_plots
+from camcal.tasks.plot_json import command_of, printed_plots
 from camcal.tasks.rigs.inspect_rig import inspect_rig
 
 KINDS = (
     "camera and rig files, detections (.csv, .vnl), poses, trajectories (.tum, .txt, .csv, .yaml, .json), tracks, "
-    "smoothed series (.csv), disparity maps (.png, .tiff, .pfm, .exr, .npz), sensor files, fits"
+    "smoothed series (.csv), disparity maps (.png, .tiff, .pfm, .exr, .npz), sensor files, fits, what calibrate, "
+    "detect, pnp and fit print with --json"
 )
 _MAPS = (".png", ".tif", ".tiff", ".pfm", ".exr", ".npz", ".npy")
 _TEXTS = (".csv", ".vnl", ".tum", ".txt", ".kitti", ".yaml", ".yml", ".json", ".xml")
@@ -82,7 +85,11 @@ def _table(path: Path, reference: Path | None) -> Drawable:
 
 def _trajectory(path: Path, reference: Path | None) -> Drawable:
     truth = None if reference is None else trajectories.read_reference(reference)[0]
-    return Drawable(path, "trajectory", trajectory_plots(path_of(trajectories.read(path), truth)))
+    objects = trajectories.read_objects(path)
+    if len(objects) == 1:
+        return Drawable(path, "trajectory", trajectory_plots(path_of(next(iter(objects.values())), truth)))
+    plots = [of_part(trajectory_plots(path_of(own, truth)), name) for name, own in objects.items()]
+    return Drawable(path, "tracks", tuple(chain.from_iterable(plots)))
 
 
 def _camera(path: Path, progress: Progress) -> Drawable:
@@ -95,6 +102,8 @@ def _camera(path: Path, progress: Progress) -> Drawable:
 
 def _document(path: Path, reference: Path | None, progress: Progress) -> Drawable:
     content = load_either(path)
+    if command := command_of(content):
+        return Drawable(path, f"{command} --json", printed_plots(content, command))
     form = content.get("format")
     if form == plain_poses.FORMAT:
         return Drawable(path, "poses", pose_plots(poses.read(path)))

@@ -121,6 +121,42 @@ def test_results_of_smoothing_and_fitting_can_be_drawn(run, results, tmp_path):
     assert stems == {"smoothed_over_time", "fit_parameter_errors", "fit_correlations"}
 
 
+def printed(run, path, *words):
+    code, out, _ = run(*words, "--json")
+    assert code == 0
+    path.write_text(out)
+    return json.loads(out)
+
+
+def test_what_commands_print_can_be_drawn(run, results, tmp_path):
+    said, camera = tmp_path / "said.json", tmp_path / "camera.yaml"
+    quick = ("--model", "pinhole", "--flat-board", "--no-free-corners")
+    figures = printed(run, said, "calibrate", results / "detections.csv", *quick, "-o", camera)["uncertainty"]
+    again = printed(run, tmp_path / "drawn.json", "plot", said, "-o", tmp_path / "figures")
+    assert again["inputs"][0]["kind"] == "calibrate --json"
+    assert list(again["captions"]) == ["projection_uncertainty", "residuals_by_view"]
+    for name in ("inside_rms_px", "rms_px", "worst_px"):  # the figures of the map are those that were printed
+        assert f"{figures['projection'][name]:.2g} px" in again["captions"]["projection_uncertainty"]
+    printed(run, said, "fit", results / "table.csv", "--model", "poly:2")
+    code, out, _ = run("plot", said, "-o", tmp_path / "errors.svg", "--figure", "parameter_errors")
+    assert (code, "fit --json: parameter_errors, correlations" in out) == (0, True)
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        ('{"schema": "camcal/undistort/1"}', "is what camcal undistort prints with --json: draw the files"),
+        ('{"schema": "camcal/fit/1", "error": {}}', "holds the failure of camcal fit, nothing to draw"),
+        ('{"schema": "camcal/calibrate/1", "views": []}', "missing key 'image_size'"),
+    ],
+)
+def test_what_commands_print_and_cannot_be_drawn_is_named(run, tmp_path, content, said):
+    (tmp_path / "said.json").write_text(content)
+    code, _, err = run("plot", tmp_path / "said.json", "-o", tmp_path / "figures")
+    assert (code in (2, 3), said in err) == (True, True)
+    assert not (tmp_path / "figures").exists()
+
+
 def test_with_a_reference_errors_are_drawn(run, results, tmp_path):
     path = results / "path.tum"
     code, _, _ = run("plot", path, "--reference", path, "-o", tmp_path / "error.pdf", "--figure", "trajectory_error")

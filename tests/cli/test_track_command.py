@@ -294,6 +294,13 @@ def test_several_objects_are_not_taken_for_one_trajectory(run, files, tmp_path, 
     assert code == 2
     assert "2 objects (tag_3, tag_5)" in err
     assert "--object" in err
+    code, out, _ = run(
+        "plot", tmp_path / f"t.{suffix}", "-o", tmp_path / "one.svg", "--figure", "tag_5_trajectory_planes", "--json"
+    )
+    document = json.loads(out)
+    assert (code, document["inputs"][0]["kind"]) == (0, "tracks")
+    kinds = ("trajectory_planes", "trajectory_space")
+    assert list(document["captions"]) == [f"{tag}_{kind}" for tag in ("tag_3", "tag_5") for kind in kinds]
 
 
 def test_what_a_pose_file_cannot_follow_is_said(run, files):

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from camcal import files
 from camcal.errors import InvalidInput
-from camcal.formats.trajectories import native, table
+from camcal.formats.trajectories import native, table, tracked
 from camcal.formats.trajectories.native import write_tf
 from camcal.formats.trajectories.table import read_lines, read_with_repeats, write_kitti, write_tum
 from camcal.geometry.pose import Trajectory
@@ -59,14 +59,22 @@ def read(path: str | Path, frames: str | None = None) -> Trajectory:
     frames: what the poses are, such as world_T_camera, where the file does not say.
     Raises FileError if it cannot be read, InvalidInput with file and line for anything wrong in it.
     """
+    return tracked.only(read_objects(path, frames), str(path))
+
+
+def read_objects(path: str | Path, frames: str | None = None) -> dict[str, Trajectory]:
+    """Return the trajectories of the objects of a file; what is no file of `camcal track` has one without a name.
+
+    frames, errors: as of `read`.
+    """
     path = Path(path)
     suffix = files.suffix_of(path)
     if suffix == ".csv":
-        return table.read(path, frames)
+        return table.read_objects(path, frames)
     if suffix in (".yaml", ".yml", ".json"):
-        return native.read(path)
+        return native.read_objects(path)
     if suffix in SUFFIXES:
-        return read_lines(path, frames)
+        return {"": read_lines(path, frames)}
     raise InvalidInput(f"trajectories are {', '.join(SUFFIXES)}, found {suffix or 'no suffix'}", where=str(path))
 
 

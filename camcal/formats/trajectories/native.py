@@ -60,15 +60,18 @@ _STAMPED = mapping(
 _TF_CHECK = mapping({TRANSFORMS: items(_STAMPED)})
 
 
-def read(path: Path) -> Trajectory:
-    """Return the trajectory of a YAML or JSON file of camcal, or of ROS transforms as YAML."""
+def read_objects(path: Path) -> dict[str, Trajectory]:
+    """Return the trajectories of the objects of a YAML or JSON file of camcal, or of ROS transforms as YAML.
+
+    What is no file of tracks has one without a name.
+    """
     document = load_either(path)
     if TRANSFORMS in document:
-        return _from_transforms(document)
+        return {"": _from_transforms(document)}
     is_track = document.get("format") == tracked.FORMAT
     if faults := list((tracked.CHECK if is_track else _CHECK)(document.data, "")):
         raise document.error(faults)
-    return tracked.from_document(document) if is_track else _from_document(document)
+    return tracked.of_document(document) if is_track else {"": _from_document(document)}
 
 
 def write_json(path: Path, poses: Trajectory) -> None:

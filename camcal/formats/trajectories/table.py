@@ -14,8 +14,9 @@ from camcal.arrays import Array
 from camcal.errors import FileError, InvalidInput
 from camcal.formats import tables
 from camcal.formats.covariance import PAIRS, POSITION, QUATERNION, from_upper, names_of_pairs
+from camcal.formats.trajectories import tracked
 from camcal.formats.trajectories.rows import named, numbers, trajectory
-from camcal.formats.trajectories.tracked import VELOCITY, holds_track, read_table
+from camcal.formats.trajectories.tracked import VELOCITY
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Trajectory
 
@@ -32,13 +33,20 @@ _NS = 1e-9
 _ROUNDED = 1e-3
 
 
-def read(path: Path, frames: str | None = None) -> Trajectory:
-    """Return the trajectory of a CSV with the columns t,tx,ty,tz,qw,qx,qy,qz, of a track, or of a truth of EuRoC."""
+def read_objects(path: Path, frames: str | None = None) -> dict[str, Trajectory]:
+    """Return the trajectories of a CSV with the columns t,tx,ty,tz,qw,qx,qy,qz, of tracks, or of a truth of EuRoC.
+
+    What is no file of tracks has one without a name.
+    """
     if _is_euroc(path):
-        return _read_euroc(path, frames)
+        return {"": _read_euroc(path, frames)}
     lines = tables.numbered_lines(path)
-    if holds_track(lines):
-        return read_table(path, lines, frames or _named(lines))
+    if tracked.holds_track(lines):
+        return tracked.of_table(path, lines, frames or _named(lines))
+    return {"": _of_columns(path, lines, frames)}
+
+
+def _of_columns(path: Path, lines: tables.Lines, frames: str | None) -> Trajectory:
     rows = [(number, line) for number, line in lines if not line.startswith("#")]
     # The header is checked by itself: the rows of a long file are read in one go.
     head = tables.Table.from_csv(str(path), rows[:1], _POSE, (*_COVARIANCE, *VELOCITY, _SEGMENT))

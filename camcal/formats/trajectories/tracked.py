@@ -1,7 +1,7 @@
 """Tracks of objects: every frame with its state, as a wide table (CSV), YAML or JSON.
 
-A frame without a pose has empty cells in a table, and no such keys in YAML and JSON. Read back is the trajectory of the
-one object of a file, the frames that have a pose; trajectories for other programs are in `trajectories`.
+A frame without a pose has empty cells in a table, and no such keys in YAML and JSON. Read back are the trajectories of
+the objects, the frames that have a pose; trajectories for other programs are in `trajectories`.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -68,20 +68,24 @@ def holds_track(lines: Lines) -> bool:
     return bool(lines) and lines[0][1].split()[:2] == ["#", FORMAT]
 
 
-def read_table(path: Path, lines: Lines, frames: str | None) -> Trajectory:
-    """Return the poses of a table's object; covariances have the standard deviations alone, correlations are lost.
+def of_table(path: Path, lines: Lines, frames: str | None) -> dict[str, Trajectory]:
+    """Return the poses of the objects of a table; covariances have standard deviations alone, correlations are lost.
 
-    frames: what the poses are. Raises InvalidInput for several objects or a wrong cell, FileError without poses.
+    frames: what the poses are. Raises InvalidInput for a wrong cell, FileError without poses.
     """
     table = Table.from_csv(str(path), lines, _NEEDED, _NOT_READ)
-    names = list(dict.fromkeys(table.columns[_OBJECT]))
-    _require_one(names, str(path))
     pose_cells = [table.columns[name] for name in _POSE]
     posed = np.array([any(map(str.strip, cells)) for cells in zip(*pose_cells, strict=True)], dtype=bool)
     if not posed.any():
         raise FileError("holds no poses", where=str(path))
-    table = table.rows(np.flatnonzero(posed))
+    objects = np.array(table.columns[_OBJECT])
+    return {
+        name: _of_rows(path, table.rows(np.flatnonzero(posed & (objects == name))), frames)
+        for name in dict.fromkeys(objects[posed].tolist())
+    }
 
+
+def _of_rows(path: Path, table: Table, frames: str | None) -> Trajectory:
     def columns(wanted: Sequence[str]) -> Array:
         return np.column_stack([table.numbers(name) for name in wanted])
 
@@ -95,23 +99,29 @@ def read_table(path: Path, lines: Lines, frames: str | None) -> Trajectory:
     )
 
 
-def from_document(document: Document) -> Trajectory:
-    """Return the poses of the one object in a document that passed CHECK.
+def of_document(document: Document) -> dict[str, Trajectory]:
+    """Return the poses of the objects in a document that passed CHECK.
 
-    Raises InvalidInput for several objects or a frame that has a part of a pose only, FileError without poses.
+    Raises InvalidInput for a frame that has a part of a pose only, FileError without poses.
     """
-    where, tracks = document.where, document["tracks"]
-    _require_one([track.get("object", "") for track in tracks], where)
-    frames = [] if not tracks else tracks[0]["poses"]
-    posed = [index for index, frame in enumerate(frames) if "translation" in frame]
-    if not posed:
-        raise FileError("holds no poses", where=where)
+    found = {
+        track.get("object", ""): _of_frames(document, child("tracks", number), track["poses"])
+        for number, track in enumerate(document["tracks"])
+        if any("translation" in frame for frame in track["poses"])
+    }
+    if not found:
+        raise FileError("holds no poses", where=document.where)
+    return found
+
+
+def _of_frames(document: Document, place: str, frames: Sequence[Mapping[str, Any]]) -> Trajectory:
+    where, posed = document.where, [index for index, frame in enumerate(frames) if "translation" in frame]
     for index in posed:
         missing = [name for name in _WITH_A_POSE if name not in frames[index]]
         if missing:
-            raise InvalidInput(f"tracks[0].poses[{index}] has a translation and no {missing[0]}", where=where)
+            raise InvalidInput(f"{place}.poses[{index}] has a translation and no {missing[0]}", where=where)
     blocks = [frames[index] for index in posed]
-    lines = [document.line(child("tracks[0].poses", index)) for index in posed]
+    lines = [document.line(child(f"{place}.poses", index)) for index in posed]
     stamps, positions, velocities, covariances, segments = (
         np.array([block[name] for block in blocks], float)
         for name in ("t", "translation", "velocity", "covariance", "segment")
@@ -126,13 +136,15 @@ def from_document(document: Document) -> Trajectory:
     )
 
 
-def _require_one(objects: Sequence[str], where: str) -> None:
-    if len(objects) > 1:
+def only(tracks: Mapping[str, Trajectory], where: str) -> Trajectory:
+    """Return the track of the one object of a file; raises InvalidInput for several."""
+    if len(tracks) > 1:
         raise InvalidInput(
-            f"holds the tracks of {len(objects)} objects ({', '.join(objects)}); "
+            f"holds the tracks of {len(tracks)} objects ({', '.join(tracks)}); "
             "run 'camcal track' with --object for one",
             where=where,
         )
+    return next(iter(tracks.values()))
 
 
 class TrackedObject(NamedTuple):
