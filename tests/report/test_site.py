@@ -122,6 +122,28 @@ def show(page, address):
     return [said for said in page.complaints if "http://127.0.0.1" not in said]
 
 
+SEARCH = """new Promise((done) => {
+  const field = document.querySelector(".md-search__input");
+  field.focus();
+  field.value = "photon transfer";
+  field.dispatchEvent(new Event("keyup"));
+  field.dispatchEvent(new Event("input"));
+  const wait = setInterval(() => {
+    const links = [...document.querySelectorAll(".md-search-result__link")].map((link) => link.href);
+    if (links.length) { clearInterval(wait); done(links); }
+  }, 50);
+})"""
+
+
+def test_the_site_can_be_read_and_searched_from_disk(site):
+    with running((800, 900)) as page:
+        page.open(site / "recipes" / "fisheye-rig.html")
+        found = page.evaluate(SEARCH)
+        assert page.complaints == []
+    assert all(link.startswith("file:") for link in found)
+    assert any("mathematics.html" in link for link in found)
+
+
 @pytest.mark.parametrize("width", [400, 1200])
 def test_pages_fit_their_width_in_a_browser_and_can_be_searched(address, width):
     with running((width, 900)) as page:
@@ -136,12 +158,5 @@ def test_pages_fit_their_width_in_a_browser_and_can_be_searched(address, width):
         ):
             assert show(page, f"{address}/{name}.html") == [], name
             assert page.evaluate("document.documentElement.scrollWidth") <= width, name
-        found = page.evaluate(
-            "new Promise((done) => { const field = document.querySelector('.md-search__input');"
-            "field.focus(); field.value = 'photon transfer'; field.dispatchEvent(new Event('keyup'));"
-            "field.dispatchEvent(new Event('input')); const wait = setInterval(() => {"
-            "const links = [...document.querySelectorAll('.md-search-result__link')].map((link) => link.href);"
-            "if (links.length) { clearInterval(wait); done(links); } }, 50); })"
-        )
-        assert any("mathematics.html" in link for link in found)
+        assert any("mathematics.html" in link for link in page.evaluate(SEARCH))
         assert page.complaints == [said for said in page.complaints if address in said]
