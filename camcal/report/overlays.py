@@ -223,8 +223,8 @@ def corner_overlay(gray: Array, view: BoardDetection) -> Array:
 
     A line through the points runs from id to id, blue at the first and red at the last; a green square is around the
     first one. Where it is known how sure points are, ellipses of one standard deviation take the place of rings,
-    enlarged by the factor that is said below. An image without points has the reason written over it, and red rings
-    around points that were refused.
+    enlarged by the factor that is said below. Red rings are around points that were found and are not used. An image
+    without points has the reason written over it.
     """
     canvas = Canvas.of(gray, MOST_WIDTH)
     if not view.found:
@@ -239,6 +239,7 @@ def corner_overlay(gray: Array, view: BoardDetection) -> Array:
         _draw_rings(canvas, pixels, colours, width)
     else:
         lines.append(_draw_ellipses(canvas, pixels, view.covariance[order], spacing, width))
+    lines += _draw_refused(canvas, view.refused)
     _draw_first(canvas, pixels[0], width)
     _write_ids(canvas, ids, pixels, spacing)
     return canvas.captioned(lines)
@@ -300,15 +301,18 @@ def _write_ids(canvas: Canvas, ids: Array, pixels: Array, spacing: float) -> Non
 
 def _refused(canvas: Canvas, view: BoardDetection) -> Array:
     """Return the picture of an image without points to use: rings around those that were refused, and the reason."""
-    width, lines = max(1, canvas.thickness), [view.image]
-    for pixel in view.refused:
-        place = canvas.place(pixel)
-        if place is not None:
-            canvas.circle(place, _RADIUS * width, _REASON, width)
-    if len(view.refused):
-        lines.append(f"red: {len(view.refused)} points that were found and are not used")
+    lines = [view.image, *_draw_refused(canvas, view.refused)]
     _write_reason(canvas, view.reason or "nothing found")
     return canvas.captioned(lines)
+
+
+def _draw_refused(canvas: Canvas, pixels: Array) -> list[str]:
+    """Draw rings around points that were found and are not used; return the line that counts them, none without any."""
+    for pixel in pixels:
+        place = canvas.place(pixel)
+        if place is not None:
+            canvas.circle(place, _RADIUS * canvas.thickness, _REASON, canvas.thickness)
+    return [f"red: {len(pixels)} points that were found and are not used"] if len(pixels) else []
 
 
 def _write_reason(canvas: Canvas, reason: str) -> None:

@@ -28,7 +28,8 @@ class BoardDetection:
     orientation: the EXIF tag 1…8 (never applied). sha256: of the file, where it was read, or of a frame's gray
     levels. other: the board in sight that is not the one that was searched for. colours: the same points by the samples
     of one colour alone, by its name. blur_px: of the board's edges; motion_px: of the board since the frame before; NaN
-    where they were not measured. refused: (M, 2) px, points of a pattern that is not taken for the board; for pictures.
+    where they were not measured. refused: (M, 2) px, points that were found and are not used, of the board or of a
+    pattern that is not taken for it; for pictures.
     """
 
     image: str = ""

@@ -124,7 +124,10 @@ def test_corners_of_a_board_cut_along_its_tags_are_no_crossings(plain):
 
 def test_a_board_with_other_ids_says_what_is_in_sight(plain):
     other = replace(BOARD, first_marker=100)
-    assert find_aprilgrid(plain[0], other).reason == "tags 0, 1, 2, 3, 4, 5 visible; this board has 100 to 111"
+    seen = find_aprilgrid(plain[0], other)
+    assert seen.reason == "tags 0, 1, 2, 3, 4, 5 visible; this board has 100 to 111"
+    assert len(seen.refused) >= 6 * 4
+    assert np.linalg.norm(seen.refused[:, None] - plain[1], axis=2).min(axis=1).max() < 8  # rough outlines, of sides of 45 px
 
 
 @pytest.mark.parametrize("size", [(3, 4), (5, 3), (3, 3)])
@@ -133,6 +136,7 @@ def test_a_board_of_another_number_of_tags_in_a_row_is_refused(plain, size):
     seen = find_aprilgrid(plain[0], other)
     assert not seen.found
     assert "tags" in seen.reason
+    assert len(seen.refused)
 
 
 def test_a_mirrored_image_is_called_by_its_name(plain):

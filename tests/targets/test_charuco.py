@@ -74,11 +74,20 @@ def test_a_hand_across_the_board_leaves_the_corners_on_both_sides():
     assert np.linalg.norm(detection.pixels - truth[detection.ids], axis=1).max() < 0.3
 
 
+def assert_all_are_near(refused, truth):
+    """Every corner of the truth was found, and nothing else."""
+    nearest = np.linalg.norm(refused[:, None] - truth, axis=2)
+    assert len(refused) == len(truth)
+    assert nearest.min(axis=0).max() < 1
+
+
 @pytest.mark.parametrize(("drawn", "wanted"), [(CURRENT, LEGACY), (LEGACY, CURRENT)], ids=["current", "legacy"])
 def test_the_other_pattern_is_not_taken_for_the_board(drawn, wanted):
-    detection = find_charuco(view(drawn)[0], wanted)
+    image, truth = view(drawn)
+    detection = find_charuco(image, wanted)
     assert not detection.found
     assert detection.reason.endswith("markers in other positions than on this board")
+    assert_all_are_near(detection.refused, truth)
 
 
 def test_a_board_of_unknown_pattern_is_found_in_both():
@@ -87,8 +96,11 @@ def test_a_board_of_unknown_pattern_is_found_in_both():
         assert len(find_charuco(view(board)[0], unknown).ids) == CURRENT.count
 
 
-def test_another_dictionary_is_not_read():
-    assert not find_charuco(view(CURRENT)[0], replace(CURRENT, dictionary="DICT_5X5_100")).found
+def test_another_dictionary_is_not_read_and_the_corners_are_kept_for_pictures():
+    image, truth = view(CURRENT)
+    detection = find_charuco(image, replace(CURRENT, dictionary="DICT_5X5_100"))
+    assert not detection.found
+    assert_all_are_near(detection.refused, truth)
 
 
 def test_a_mirrored_image_says_so():

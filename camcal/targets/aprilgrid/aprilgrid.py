@@ -100,10 +100,11 @@ def find_aprilgrid(gray: Array, board: Board, samples: MaskedImage | None = None
         if seen.right >= ENOUGH and not seen.wrong:
             break
     if not best.right:
-        return BoardDetection.nothing(_reason(gray, board, lattice))
+        return _unseen(gray, board, lattice)
     if best.wrong > best.right:
         layout = f"{board.columns} x {board.rows}"
-        return BoardDetection.nothing(f"tag positions do not match a board of {layout} tags: check its size")
+        reason = f"tag positions do not match a board of {layout} tags: check its size"
+        return BoardDetection.nothing(reason, refused=best.grid)
     return _measured(samples or MaskedImage(gray), lattice, best, codes.shape[-1] + 2 * TAG_BORDER)
 
 
@@ -206,26 +207,30 @@ def _measured(samples: MaskedImage, lattice: TagLattice, seen: _TagCorners, side
         corners.noise < NOISE_LIMIT * np.nanmedian(corners.noise) + ROUGH * np.abs(corners.contrast)
     )
     if good.sum() < MIN_CORNERS:
-        return BoardDetection.nothing(f"only {int(good.sum())} usable tag corners")
+        return BoardDetection.nothing(f"only {int(good.sum())} usable tag corners", refused=seen.grid)
     ids = lattice.ids[known][good]
     order = np.argsort(ids)
     return BoardDetection(
-        ids=ids[order], pixels=corners.pixels[good][order], covariance=corners.covariance[good][order]
+        ids=ids[order],
+        pixels=corners.pixels[good][order],
+        covariance=corners.covariance[good][order],
+        refused=seen.grid[known][~good],
     )
 
 
-def _reason(gray: Array, board: Board, lattice: TagLattice) -> str:
+def _unseen(gray: Array, board: Board, lattice: TagLattice) -> BoardDetection:
     """Return why the tags of a board are not found: there are none, others, or only their mirror images."""
     codes = codes_of(str(board.dictionary))
     own = np.arange(len(codes))[board.first_marker :][: lattice.count]
     for outlines in islice(quadrilaterals(gray), COPIES):
         for corners, what in ((outlines.corners, "tags"), (outlines.corners[:, ::-1], "mirror images of tags")):
-            ids = read_tags(gray, corners, codes)
+            ids, places = read_tags(gray, corners, codes)
             if len(ids):
                 seen = f"{what} {', '.join(map(str, ids[:SHOWN]))} visible"
                 ours = np.isin(ids, own).any()
-                return f"{seen}, not as on this board" if ours else f"{seen}; this board has {own[0]} to {own[-1]}"
-    return f"no tag of {board.dictionary} with a black border of {TAG_BORDER} cells found"
+                reason = f"{seen}, not as on this board" if ours else f"{seen}; this board has {own[0]} to {own[-1]}"
+                return BoardDetection.nothing(reason, refused=places)
+    return BoardDetection.nothing(f"no tag of {board.dictionary} with a black border of {TAG_BORDER} cells found")
 
 
 _AROUND = 20  # corners that say how lines bend at one of them

@@ -127,11 +127,14 @@ def bit_agreement(gray: Array, corners: Array, codes: Array) -> Array:
     return np.asarray(np.nan_to_num(seen) @ expected.T / expected.shape[1])
 
 
-def read_tags(gray: Array, corners: Array, codes: Array) -> Array:
-    """Return the ids, ascending, of codes (K, n, n) that quadrilaterals at corners (Q, 4, 2) px show beyond doubt."""
+def read_tags(gray: Array, corners: Array, codes: Array) -> tuple[Array, Array]:
+    """Return the ids, ascending, of codes (K, n, n) that quadrilaterals show beyond doubt, and the corners of these.
+
+    corners: (Q, 4, 2) px; those that are returned (P, 4, 2), in no order of the ids.
+    """
     agreement = np.stack([bit_agreement(gray, np.roll(corners, turns, axis=1), codes) for turns in range(4)])
-    _, _, ids = np.nonzero(np.asarray(agreement > _BEYOND_DOUBT))
-    return np.unique(ids)
+    _, shown, ids = np.nonzero(np.asarray(agreement > _BEYOND_DOUBT))
+    return np.unique(ids), corners[np.unique(shown)]
 
 
 def _cells(gray: Array, corners: Array, side: int) -> Array:

@@ -223,14 +223,18 @@ def find_charuco(gray: Array, board: Board) -> BoardDetection:
     """
     require_markers(board)
     legacies = _legacies(board)
-    best, refused = BoardDetection.nothing(f"no marker of {board.dictionary} found"), 0
+    best, most = BoardDetection.nothing(f"no marker of {board.dictionary} found"), 0
     for copy in proposals(gray):
         parts = [_part(gray, start, board, legacies) for start in copy]
         grid = _joined(parts, board)
         if grid is None:
-            closest = max(parts, key=lambda part: part.markers, default=None)
-            if closest and closest.markers > max(refused, LEAST_VOTES - 1) and not best.found:
-                best, refused = _reason(closest), closest.markers
+            closest = max(parts, key=lambda part: (part.markers, part.corners), default=None)
+            if closest is None or best.found:
+                continue
+            if closest.markers > max(most, LEAST_VOTES - 1):
+                best, most = _unplaced(closest), closest.markers
+            elif not most and closest.corners > len(best.refused):
+                best = BoardDetection.nothing(str(best.reason), refused=closest.checker.grid)
             continue
         checker = with_hidden_corners(gray, verified_corners(gray, grid, clearance(board)), clearance(board))
         seen = BoardDetection.of(clear_corners(gray, checker, clearance(board)))
@@ -247,6 +251,11 @@ class _Part:
     checker: Checker
     reading: MarkerReadings
     board_placement: BoardPlacement | None
+
+    @property
+    def corners(self) -> int:
+        """How many corners the pattern has."""
+        return int(self.checker.found.sum())
 
     @property
     def markers(self) -> int:
@@ -280,12 +289,15 @@ def _joined(parts: list[_Part], board: Board) -> Array | None:
     return grid
 
 
-def _reason(part: _Part) -> BoardDetection:
+def _unplaced(part: _Part) -> BoardDetection:
     """Return why a pattern with markers is not the board."""
     count, mirrored = len(part.reading.marker), part.reading.mirrored
-    if mirrored > count:
-        return BoardDetection.nothing("the image is mirrored: flip it")
-    return BoardDetection.nothing(f"{count} markers in other positions than on this board")
+    reason = (
+        "the image is mirrored: flip it"
+        if mirrored > count
+        else f"{count} markers in other positions than on this board"
+    )
+    return BoardDetection.nothing(reason, refused=part.checker.grid)
 
 
 def clearance(board: Board) -> float:

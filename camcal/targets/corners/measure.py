@@ -42,7 +42,7 @@ def measure(samples: MaskedImage, board: Board, detection: BoardDetection) -> Bo
     blur = blur_of(values, pixels)
     near = refine(values, pixels, _cells(board, ids, pixels, values, blur)[0].narrow(), blur, sites, _NEAR_PX)
     if not near.settled.any():
-        return BoardDetection.nothing("no clear corners")
+        return BoardDetection.nothing("no clear corners", refused=pixels)
     # What a board that leaves its pattern open, or that is printed inverted, has before its first corner
     first = 1 if np.nansum(near.contrast * signs(board)[ids]) >= 0 else -1
     corners = near
@@ -55,7 +55,7 @@ def measure(samples: MaskedImage, board: Board, detection: BoardDetection) -> Bo
         corners = refine(values, corners.pixels, cells, blur, sites, reach)
         if not (cells.crowded(blur) and corners.settled.any()):
             break
-    return _detection(ids, corners, near)
+    return _detection(detection, corners, near)
 
 
 def _cells(
@@ -83,15 +83,17 @@ def _cells(
     return cells, float(np.clip(step * np.sqrt(_BENT_PX / max(left, 1e-9)), _NEAR_PX, LONGEST_PX))
 
 
-def _detection(ids: Array, corners: RefinedCorners, near: RefinedCorners) -> BoardDetection:
+def _detection(start: BoardDetection, corners: RefinedCorners, near: RefinedCorners) -> BoardDetection:
     """Return the corners that are clear, measured closely where the whole of their cells does not fit."""
     good, fallback = clear(corners), clear(near)
     kept = good | fallback
     if kept.sum() < MIN_CORNERS:
-        return BoardDetection.nothing(f"only {int(kept.sum())} clear corners")
+        return BoardDetection.nothing(f"only {int(kept.sum())} clear corners", refused=start.pixels)
     pixels = np.where(good[:, None], corners.pixels, near.pixels)
     covariance = np.where(good[:, None, None], corners.covariance, near.covariance)
-    return BoardDetection(ids=ids[kept], pixels=pixels[kept], covariance=covariance[kept])
+    return BoardDetection(
+        ids=start.ids[kept], pixels=pixels[kept], covariance=covariance[kept], refused=start.pixels[~kept]
+    )
 
 
 def clear(corners: RefinedCorners) -> Array:
