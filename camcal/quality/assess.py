@@ -93,9 +93,11 @@ def _fold(calibration: Calibration, circle: ImageCircle | None) -> Iterator[Mess
 
 
 def _cameras(calibration: Calibration) -> Iterator[Message]:
-    found = calibration.two_cameras
+    found, rolling = calibration.two_cameras, calibration.within_views.rolling_px
     if found is None:
         return
+    if rolling is not None and not found.by_name and rolling[0] > found.other_px:
+        return  # a few views that a rolling shutter has bent alike seem to have a lens of their own
     code = "several_cameras_by_name" if found.by_name else "several_cameras"
     if found.ratio > _limit(code) and found.other_px > CRITERIA[code].minimum_px:
         together = ", or both together with 'camcal rig'" if found.by_name else ""

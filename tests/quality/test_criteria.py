@@ -558,6 +558,12 @@ def test_a_board_of_other_proportions_is_not_taken_for_another_focal_length(good
         assert set(by_code(differing(good, step=step, proportions=proportions))) == codes
 
 
+@pytest.mark.parametrize(("rolling_px", "named"), [(0.6, {"rolling_shutter"}), (0.49, {"several_cameras"})])
+def test_views_that_a_rolling_shutter_bent_are_not_taken_for_another_camera(good, rolling_px, named):
+    both = replace(of_two_cameras(good, 2.0), within_views=WithinViews(1.0, rolling_px=(rolling_px, 9.0)))
+    assert set(by_code(both)) == named
+
+
 def test_of_a_step_and_a_drift_the_clearer_one_is_named(good):
     step, drift = Change(0.005, 5.0, ("b.png",) * 5), Change(0.007, 6.0, tuple(view.image for view in good.views))
     assert "drifts" in by_code(differing(good, step=step, drift=drift))["focal_change"].text
