@@ -127,7 +127,9 @@ def test_a_board_with_other_ids_says_what_is_in_sight(plain):
     seen = find_aprilgrid(plain[0], other)
     assert seen.reason == "tags 0, 1, 2, 3, 4, 5 visible; this board has 100 to 111"
     assert len(seen.refused) >= 6 * 4
-    assert np.linalg.norm(seen.refused[:, None] - plain[1], axis=2).min(axis=1).max() < 8  # rough outlines, of sides of 45 px
+    assert (
+        np.linalg.norm(seen.refused[:, None] - plain[1], axis=2).min(axis=1).max() < 8
+    )  # rough outlines, of sides of 45 px
 
 
 @pytest.mark.parametrize("size", [(3, 4), (5, 3), (3, 3)])
