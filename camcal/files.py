@@ -47,6 +47,9 @@ class Ledger(Protocol):
     def writes(self, path: Path) -> None:
         """Raise InvalidInput for a file that must not be replaced, FileError for one that cannot be written."""
 
+    def completes(self, path: Path, temporary: Path) -> bool:
+        """Note what is to take the place of a file; return False to leave the file as it is, for it is the same."""
+
     def wrote(self, file: os.stat_result) -> None:
         """Note a file that was written."""
 
@@ -96,12 +99,8 @@ def replacing(path: Path) -> Iterator[Path]:
     temporary = Path(name)
     try:
         yield temporary
-        with temporary.open("r+b") as stream:  # Windows flushes only what may be written
-            os.fsync(stream.fileno())
-        umask = os.umask(0)
-        os.umask(umask)
-        temporary.chmod(0o666 & ~umask)
-        temporary.replace(path)
+        if ledger is None or ledger.completes(path, temporary):
+            _put(temporary, path)
         if ledger is not None:
             ledger.wrote(path.stat())
     except OSError as error:
@@ -110,6 +109,16 @@ def replacing(path: Path) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
         if handle is not None:
             os.close(handle)
+
+
+def _put(temporary: Path, path: Path) -> None:
+    """Flush a finished file to disk and give it its name."""
+    with temporary.open("r+b") as stream:  # Windows flushes only what may be written
+        os.fsync(stream.fileno())
+    umask = os.umask(0)
+    os.umask(umask)
+    temporary.chmod(0o666 & ~umask)
+    temporary.replace(path)
 
 
 def is_stream(path: Path) -> bool:

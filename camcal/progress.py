@@ -9,6 +9,7 @@ from camcal.messages import Message
 
 Item = TypeVar("Item")
 Value = TypeVar("Value")
+Other = TypeVar("Other")
 
 
 class Progress(Protocol):
@@ -57,11 +58,24 @@ def warn_of(messages: Iterable[Message], progress: Progress) -> None:
 
 @dataclass(frozen=True)
 class Outcome(Generic[Item, Value]):
-    """One item of a fan-out: its value, or the error that kept it from one."""
+    """One item of a fan-out: its value, or the error that kept it from one.
+
+    reused: whether an earlier run made it, and this one left it as it is.
+    """
 
     item: Item
     value: Value | None = None
     error: CamcalError | None = None
+    reused: bool = False
+
+    def of(self, item: Other) -> "Outcome[Other, Value]":
+        """Return it as that of another item, such as the file that it is about."""
+        return Outcome(item, self.value, self.error, self.reused)
+
+
+def reused(outcomes: Iterable[Outcome[Item, Value]]) -> int:
+    """Return how many items of a fan-out an earlier run made."""
+    return sum(outcome.reused for outcome in outcomes)
 
 
 def values_of(outcomes: Iterable[Outcome[Item, Value]]) -> list[Value]:

@@ -98,7 +98,8 @@ def _show_images(outcomes: "Sequence[Outcome[Path, DevelopedFrame]]", verbose: b
         rows.append([str(frame.output), size, pattern, black, f"{frame.white:g}", gains, clipped])
     if rows:
         show.table(counted(len(rows), "image"), FRAME_COLUMNS, rows, verbose=verbose, most=show.LISTED)
-    show.wrote(show.several([frame.output for frame in written], "image"))
+    show.reused(outcomes, "image")
+    show.wrote(show.several([frame.output for frame in show.made(outcomes)], "image"))
 
 
 def sensor(options: SensorOptions, call: ImageCall) -> None:

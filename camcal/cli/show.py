@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Any, TextIO
 
 from camcal.errors import FileError, in_one_line, reason
 from camcal.files import STANDARD
-from camcal.messages import Message, as_data
-from camcal.progress import Outcome, Progress, Silent
+from camcal.messages import Message, as_data, counted
+from camcal.progress import Item, Outcome, Progress, Silent
 from camcal.report.table import Column, table_lines, wrapped
 
 if TYPE_CHECKING:
@@ -109,6 +109,20 @@ def several(paths: Sequence[Path], noun: str) -> str | None:
     if len(paths) <= len(folders):
         return ", ".join(map(str, paths)) or None
     return f"{len(paths)} {noun}s to {', '.join(f'{folder}{os.sep}' for folder in folders)}"
+
+
+def reused(outcomes: Sequence[Outcome[Any, Any]], noun: str) -> None:
+    """Print how many items were left as an earlier run made them, if some were."""
+    count = sum(outcome.reused for outcome in outcomes)
+    if count and count == len(outcomes):
+        text(f"nothing to do: {counted(count, noun)} complete and unchanged")
+    elif count:
+        text(f"{count} of {counted(len(outcomes), noun)} complete and unchanged: left as they are")
+
+
+def made(outcomes: Iterable[Outcome[Any, Item]]) -> list[Item]:
+    """Return what this run made of its items, without what it reused."""
+    return [outcome.value for outcome in outcomes if outcome.value is not None and not outcome.reused]
 
 
 def _lines_of(line: str) -> list[str]:

@@ -72,9 +72,11 @@ def _show_rectified(report: "RectifyReport") -> None:
     show.text(f"{cameras}; baseline {found.baseline:.6g} m, doffs {found.doffs:.6g} px")
     empty = ", ".join(f"{name} {100 * (1 - share):.1f} %" for name, share in report.valid.items())
     show.text(f"{100 * found.kept:.1f} % of the common field of view kept; pixels without source: {empty}")
-    written = [outcome.value.output for outcome in report.images if outcome.value is not None]
     beside = report.beside
-    show.wrote(*beside.all[:1], *beside.all[3:], *beside.masks, show.several(written, "image"))
+    show.reused(report.images, "image")
+    drawn = [each.output for each in show.made(report.images)]
+    if drawn or not report.images:
+        show.wrote(*beside.all[:1], *beside.all[3:], *beside.masks, show.several(drawn, "image"))
 
 
 def check(options: StereoCheckOptions, call: ImageCall) -> None:
@@ -139,8 +141,7 @@ def disparity(options: DisparityOptions, call: ImageCall) -> None:
     from camcal.tasks.stereo.stereo_disparity import document, failures, require_good, stereo_disparity
 
     outcomes = stereo_disparity(options, call.progress)
-    matched = [outcome.value for outcome in outcomes if outcome.value is not None]
-    call.give(lambda: document(outcomes), lambda: _show_matched(matched, call.verbose))
+    call.give(lambda: document(outcomes), lambda: _show_matched(outcomes, call.verbose))
     if options.force:
         warn_of(failures(outcomes), call.progress)
     else:
@@ -148,8 +149,9 @@ def disparity(options: DisparityOptions, call: ImageCall) -> None:
     require_all(outcomes, "pairs")
 
 
-def _show_matched(pairs: "Sequence[MatchedPair]", verbose: bool) -> None:
+def _show_matched(outcomes: "Sequence[Outcome[Pair, MatchedPair]]", verbose: bool) -> None:
     """Print the maps as a table, with `verbose` the shares of their classes too."""
+    pairs = [outcome.value for outcome in outcomes if outcome.value is not None]
     classes = list(pairs[0].figures.classes) if pairs and verbose else []
     rows = []
     for pair in pairs:
@@ -161,8 +163,10 @@ def _show_matched(pairs: "Sequence[MatchedPair]", verbose: bool) -> None:
     if rows:
         columns = [*MAP_COLUMNS, *(Column(name, "%") for name in classes)]
         show.table(counted(len(rows), "map"), columns, rows, verbose=verbose, most=show.LISTED)
-    pictures = [pair.picture for pair in pairs if pair.picture is not None]
-    show.wrote(show.several([pair.output for pair in pairs], "map"), show.several(pictures, "picture"))
+    show.reused(outcomes, "map")
+    made = show.made(outcomes)
+    pictures = [pair.picture for pair in made if pair.picture is not None]
+    show.wrote(show.several([pair.output for pair in made], "map"), show.several(pictures, "picture"))
 
 
 def cloud(options: CloudOptions, call: ImageCall) -> None:
@@ -172,7 +176,8 @@ def cloud(options: CloudOptions, call: ImageCall) -> None:
     Missing options are taken from the sidecar that 'camcal stereo disparity' writes beside a map. Invalid disparities
     (zero, negative, NaN, infinite) give no points. Gray images give a colour and an intensity from 0 to 1.
     """
-    from camcal.tasks.stereo.cloud import document, stereo_cloud
+    from camcal.tasks.stereo.cloud import document
+    from camcal.tasks.stereo.clouds import stereo_cloud
 
     if options.disparity.is_dir():
         _make_clouds(options, call)
@@ -183,18 +188,19 @@ def cloud(options: CloudOptions, call: ImageCall) -> None:
 
 def _make_clouds(options: CloudOptions, call: Call) -> None:
     from camcal.progress import require_all
-    from camcal.tasks.stereo.cloud_folder import cloud_folder, folder_document
+    from camcal.tasks.stereo.clouds import cloud_folder, folder_document
 
     outcomes = cloud_folder(options, call.progress)
-    reports = [outcome.value for outcome in outcomes if outcome.value is not None]
-    call.give(lambda: folder_document(outcomes), lambda: _show_clouds(reports, call.verbose))
+    call.give(lambda: folder_document(outcomes), lambda: _show_clouds(outcomes, call.verbose))
     require_all(outcomes, "maps")
 
 
-def _show_clouds(reports: "list[CloudReport]", verbose: bool) -> None:
+def _show_clouds(outcomes: "Sequence[Outcome[Path, CloudReport]]", verbose: bool) -> None:
+    reports = [outcome.value for outcome in outcomes if outcome.value is not None]
     rows = [[str(report.output), report.points, report.pixels] for report in reports]
     show.table(counted(len(rows), "cloud"), CLOUD_COLUMNS, rows, verbose=verbose, most=show.LISTED)
-    show.wrote(show.several([report.output for report in reports], "cloud"))
+    show.reused(outcomes, "cloud")
+    show.wrote(show.several([report.output for report in show.made(outcomes)], "cloud"))
 
 
 def _show_cloud(report: "CloudReport") -> None:
@@ -211,7 +217,10 @@ def _show_cloud(report: "CloudReport") -> None:
     if "sigma" in report.fields:
         parts = "matching and calibration" if report.calibration_known else "matching; the calibration counts as exact"
         show.text(f"sigma: {parts}")
-    show.wrote(report.output)
+    if report.reused:
+        show.text(f"nothing to do: {report.output} is complete and unchanged")
+    else:
+        show.wrote(report.output)
 
 
 def run(options: RunOptions, call: ImageCall) -> None:
@@ -246,10 +255,13 @@ def _show_run(report: "RunReport", verbose: bool) -> None:
         matched = f"{100 * pair.figures.matched:.1f}"
         rows.append([pair.capture.name, row_offsets, matched, pair.cloud.points, depth])
     show.table(counted(len(rows), "pair"), RUN_COLUMNS, rows, verbose=verbose, most=show.LISTED)
+    show.reused(report.outcomes, "pair")
     own = None if report.calibration is None else report.rig_file
-    pages = [pair.page for pair in report.pairs if pair.page is not None]
-    clouds = [pair.files.cloud for pair in report.pairs]
-    show.wrote(own, report.rectified_file, show.several(clouds, "cloud"), show.several(pages, "page"))
+    made = show.made(report.outcomes)
+    pages = [pair.page for pair in made if pair.page is not None]
+    clouds = [pair.files.cloud for pair in made]
+    if made:
+        show.wrote(own, report.rectified_file, show.several(clouds, "cloud"), show.several(pages, "page"))
 
 
 def evaluate(options: EvalOptions, call: ImageCall) -> None:

@@ -60,4 +60,6 @@ def _show(report: "UndistortReport", verbose: bool) -> None:
     focal = " ".join(f"{name}={report.view.value(name):.6g}" for name in ("fx", "fy", "cx", "cy"))
     empty = f"; {100 * (1 - report.valid):.1f} % of its pixels without source" if report.valid < 1 else ""
     show.text(f"{report.view.model.name}, {width}x{height}, {focal}{empty}")
-    show.wrote(report.camera_file, report.mask_file, show.several(written, "image"))
+    show.reused(report.outcomes, "image")
+    if drawn := [each.output for each in show.made(report.outcomes)]:
+        show.wrote(report.camera_file, report.mask_file, show.several(drawn, "image"))

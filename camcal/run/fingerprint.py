@@ -11,8 +11,11 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 import camcal
 from camcal import files
+from camcal.arrays import Array
 from camcal.formats import provenance
 from camcal.options import PATH, Declared, declared
 
@@ -28,6 +31,12 @@ def of_folder(path: Path) -> str:
     """Return the hash of the names and contents of the files in a folder, hidden ones and folders below it left out."""
     inside = sorted(each for each in path.iterdir() if each.is_file() and not each.name.startswith("."))
     return of_data([[each.name, of_file(each)] for each in inside])
+
+
+def of_array(array: Array) -> str:
+    """Return the hash of an array: of its type, its shape and its values."""
+    values = np.ascontiguousarray(array)
+    return of_data([values.dtype.str, list(values.shape), hashlib.sha256(values.data).hexdigest()])
 
 
 def of_data(data: Any) -> str:

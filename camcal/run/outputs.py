@@ -6,29 +6,32 @@ outputs that the options name, those that a task claims before its work, and wha
 be a file that is read, by whatever name, link or address.
 
 A file that is there already is replaced if camcal wrote it: one that the user names, if it says so itself (the comment
-or the format of a text, `camcal` in its provenance); any file, if it is listed in `.camcal-output` of its folder, one
-name per line. Files without a mark of their own are listed there, and those whose names the user did not choose.
+or the format of a text, `camcal` in its provenance); any file, if it is listed in `.camcal-output` of its folder (see
+`manifest`) and was not changed since. Files without a mark of their own are listed there, and those whose names the
+user did not choose.
 """
 
 import os
 import re
 import stat
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from contextlib import contextmanager, suppress
 from functools import wraps
-from itertools import combinations
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
 
-from camcal import files, system
+from camcal import files
 from camcal.errors import FileError, InvalidInput, in_one_line, reason
 from camcal.files import STANDARD
-from camcal.options import GENERAL, OUTPUT, Declared, declared
-
-OUTPUT_INDEX = ".camcal-output"
+from camcal.options import Declared, declared
+from camcal.run import manifest
+from camcal.run.fanout import fan_out
+from camcal.run.manifest import MANIFEST, Entry
+from camcal.run.option_paths import inputs_of, is_folder, outputs_of, refuse_one_place, require_folder
 
 _HEAD = 4096  # bytes in which a text says who wrote it
+_MANY = 8  # files that are better read by several threads
 _MARK = re.compile(rb'\A(?:%YAML[^\n]*\n---\n)?# (?:[^\n]*\b)?camcal\b|"(?:format|schema|tool)": "camcal\b')
 
 P = ParamSpec("P")
@@ -103,11 +106,13 @@ class Run:
     """The account of a run, which its threads share.
 
     read, written, replaced: files by device and number; to be replaced is what stands in the place of an output.
-    planned: outputs, and the file that was in their place (None: none).
+    planned: outputs, and the file that was in their place (None: none). intact: those of them that are as camcal left
+    them. shortened: those that are shorter than that, and may be the beginning of it. made: what was written.
     """
 
     def __init__(self) -> None:
         self.overwrite = False
+        self.resume = False
         self.read: set[FileId] = set()
         self.written: set[FileId] = set()
         self.replaced: set[FileId] = set()
@@ -116,7 +121,11 @@ class Run:
         self.unlisted: set[Path] = set()
         self.owned: list[Path] = []
         self.new_folders: list[Path] = []
-        self._lists: dict[Path, set[str]] = {}
+        self.intact: dict[Path, Entry] = {}
+        self.shortened: set[Path] = set()
+        self.made: dict[Path, Entry] = {}
+        self._examined: set[Path] = set()
+        self._lists: dict[Path, dict[str, Entry | None]] = {}
         self._has_options = False
 
     def add(self, values: Mapping[Declared, Any]) -> None:
@@ -124,12 +133,14 @@ class Run:
 
         Raises InvalidInput or FileError.
         """
-        self.overwrite |= any(value is True for each, value in values.items() if each.name == "--overwrite")
+        given = {each.name for each, value in values.items() if value is True}
+        self.overwrite |= "--overwrite" in given
+        self.resume |= "--resume" in given
         for each, value in values.items():
             for path in inputs_of(each, value):
                 files.note_read(path)
         outputs = [(each, path) for each, value in values.items() for path in outputs_of(each, value)]
-        _refuse_one_place(outputs)
+        refuse_one_place(outputs)
         named = not self._has_options
         self._has_options = True
         for each, path in outputs:
@@ -141,7 +152,8 @@ class Run:
         self._refuse_input(path)
         if is_folder(each, path):
             require_folder(path, each.name)
-            _require_writable(path / OUTPUT_INDEX)
+            if not self.resume:  # where nothing is left to do, nothing is written
+                _require_writable(path / MANIFEST)
             return
         if named:
             self.plan_named(path)
@@ -156,6 +168,7 @@ class Run:
     def claim(self, outputs: Iterable[Path]) -> None:
         """Check outputs and list them in their folders; see the function of this name."""
         paths = [path for path in outputs if str(path) != STANDARD]
+        self._examine(paths)
         for path in paths:
             self.plan(path)
         self._list(path for path in paths if path.absolute() not in self.unlisted)
@@ -173,7 +186,7 @@ class Run:
             found = _status(path)
             if found is not None:
                 self._require_replaceable(path, found)
-            if found is None or stat.S_ISREG(found.st_mode):
+            if found is None or (stat.S_ISREG(found.st_mode) and place not in self.intact):
                 _require_writable(path)
             self.planned[place] = found
             if found is not None:
@@ -186,9 +199,7 @@ class Run:
         if _id(found) in self.written or self.overwrite or not stat.S_ISREG(found.st_mode):
             return
         if path.absolute() not in self.unlisted and not self._is_own(path):
-            raise InvalidInput(
-                "exists and was not written by camcal; use --overwrite or another output", where=str(path)
-            )
+            raise changed(path) if self._is_listed(path) else _foreign(path, "was not written by camcal")
 
     def _refuse_input(self, path: Path) -> None:
         found = _status(path)
@@ -196,7 +207,29 @@ class Run:
             raise _is_input(path)
 
     def _is_own(self, path: Path) -> bool:
-        return self._is_listed(path) or (path.absolute() in self.named and says_camcal(path))
+        place = path.absolute()
+        if place in self.named and says_camcal(path):
+            return True
+        self._examine([path])
+        unknown = self._is_listed(path) and self._entry(path) is None
+        return unknown or place in self.intact or place in self.shortened
+
+    def known(self, path: Path) -> Entry | None:
+        """Return what is known of an output that is as camcal left it, else None."""
+        self._examine([path])
+        return self.intact.get(path.absolute())
+
+    def _examine(self, paths: Iterable[Path]) -> None:
+        """Find out which of some outputs are as camcal left them, as far as that is known."""
+        known = {path: entry for path in paths if (entry := self._entry(path)) and path.is_file()}
+        new = [item for item in known.items() if item[0].absolute() not in self._examined]
+        for (path, entry), is_intact in zip(new, _compared(new), strict=True):
+            place = path.absolute()
+            self._examined.add(place)
+            if is_intact:
+                self.intact[place] = entry
+            elif path.stat().st_size < entry.size and not self.overwrite:
+                self.shortened.add(place)
 
     def reads(self, path: Path, file: os.stat_result) -> None:
         """Note a file that is read; raises InvalidInput if it is to be replaced."""
@@ -212,39 +245,64 @@ class Run:
         """Raise InvalidInput or FileError if a file must not or cannot be written now."""
         self.plan(path)
 
+    def completes(self, path: Path, temporary: Path) -> bool:
+        """Note what is about to take the place of a file; return whether it does, not if a resumed run leaves it so."""
+        place = path.absolute()
+        if place in self.unlisted:
+            return True
+        made = self.made[place] = completed(path, temporary, shortened=place in self.shortened)
+        if self.resume and path.is_file() and made.is_of(path):
+            return False
+        if self._entry(path) is not None:  # a kill is to leave no hash of the old file
+            manifest.change(path.parent, {path.name: None})
+        return True
+
     def wrote(self, file: os.stat_result) -> None:
         """Note a file that was written."""
         self.written.add(_id(file))
 
     def _list(self, paths: Iterable[Path]) -> None:
-        """List outputs in their folders before they are written, so that a killed run leaves none unlisted."""
-        folders: dict[Path, set[str]] = {}
+        """List outputs in their folders before they are written, so that a killed run leaves none unlisted.
+
+        What is known of their contents is left out until they are written, or kept if they may stay as they are.
+        """
+        folders: dict[Path, dict[str, Entry | None]] = {}
         for path in paths:
-            found = self.planned[path.absolute()]
-            if found is None or self._is_listed(path):  # what others wrote is not listed before it is replaced
-                folders.setdefault(path.parent, set()).add(path.name)
+            place = path.absolute()
+            if self.planned[place] is None or self._is_listed(path):  # others' files are not listed before replaced
+                stays = place in self.shortened or (self.resume and place in self.intact)
+                folders.setdefault(path.parent, {})[path.name] = self._entry(path) if stays else None
         for folder, names in folders.items():
             self.new_folders += [each for each in (folder, *folder.parents) if not each.exists()]
-            change_list(folder, names, set())
+            manifest.change(folder, names)
             self._lists.pop(folder.absolute(), None)
 
+    def _entry(self, path: Path) -> Entry | None:
+        return self._list_of(path).get(in_one_line(path.name))
+
     def _is_listed(self, path: Path) -> bool:
+        return in_one_line(path.name) in self._list_of(path)
+
+    def _list_of(self, path: Path) -> dict[str, Entry | None]:
         folder = path.absolute().parent
         if folder not in self._lists:
-            self._lists[folder] = listed(folder)
-        return in_one_line(path.name) in self._lists[folder]
+            self._lists[folder] = manifest.entries(folder)
+        return self._lists[folder]
 
     def close(self) -> None:
         """Bring the lists of all folders up to date, and remove folders that were made for nothing."""
-        folders: dict[Path, tuple[set[str], set[str]]] = {}
+        self._lists.clear()
+        folders: dict[Path, tuple[dict[str, Entry | None], set[str]]] = {}
         for path in self.planned.keys() - self.unlisted:
-            added, removed = folders.setdefault(path.parent, (set(), set()))
-            (added if self._has_to_be_listed(path) else removed).add(path.name)
+            added, removed = folders.setdefault(path.parent, ({}, set()))
+            if self._has_to_be_listed(path):
+                added[path.name] = self.made.get(path, self._entry(path))
+            else:
+                removed.add(path.name)
         for folder, (added, removed) in folders.items():
-            known = listed(folder)
-            if folder.is_dir() and (not added <= known or removed & known):
+            if folder.is_dir() and (added or (folder / MANIFEST).is_file()):
                 with suppress(FileError):  # a folder that became read-only; what was written is there
-                    change_list(folder, added, removed)
+                    manifest.change(folder, added, removed)
         for folder in sorted(self.new_folders, key=lambda each: len(each.parts), reverse=True):
             with suppress(OSError):  # something is in it
                 folder.rmdir()
@@ -258,54 +316,6 @@ class Run:
         return self._is_listed(path) if kept else path not in self.named or not says_camcal(path)
 
 
-def inputs_of(each: Declared, value: Any) -> list[Path]:
-    """Return the paths that the value of an option may name as what is read: any text that is no output may.
-
-    That of FILE#NAME and of NAME=FILE is among them.
-    """
-    if each.option.choices or each.option.group in (OUTPUT, GENERAL):
-        return []
-    items = value if isinstance(value, tuple) else (value,)
-    given = [str(item) for item in items if isinstance(item, str | Path)]
-    texts = [text for one in given for text in (one, one.partition("=")[2])]
-    return [Path(path) for text in texts for path in (text, text.rpartition("#")[0]) if path]
-
-
-def outputs_of(each: Declared, value: Any) -> list[Path]:
-    """Return the paths that the value of an option names as what is written."""
-    written = each.option.written
-    if written is None or value is None:
-        return []
-    return [Path(text) for text in each.texts(value) if text not in written.words]
-
-
-def is_folder(each: Declared, path: Path) -> bool:
-    """Return whether an output is a folder; raises InvalidInput for a file that the option does not write."""
-    written = each.option.written
-    assert written is not None
-    suffix, known = path.suffix.lower(), written.known
-    if str(path) == STANDARD:
-        if not written.stdout:
-            raise InvalidInput(f"{each.name} does not write to standard output; name a file")
-        return False
-    if files.is_stream(path):
-        return False
-    if written.folder and (path.is_dir() or not suffix or not known):
-        if path.name.lower() in known and not path.is_dir():
-            raise InvalidInput(f"is a suffix without a name; write NAME{path.name}, or a folder", where=str(path))
-        return True
-    if suffix in known or not known:
-        return False
-    listed_suffixes = ", ".join(name for name in known if name)
-    raise InvalidInput(f"{suffix or 'a name without a suffix'} is not written; use {listed_suffixes}", where=str(path))
-
-
-def require_folder(path: Path, option: str) -> None:
-    """Raise InvalidInput, naming the option, if files cannot go to this folder because it is a file."""
-    if path.exists() and not path.is_dir():
-        raise InvalidInput(f"{option} takes a folder, this is a file", where=str(path))
-
-
 def says_camcal(path: Path) -> bool:
     """Return whether the beginning of a file has the mark of camcal."""
     try:
@@ -315,33 +325,40 @@ def says_camcal(path: Path) -> bool:
         return False
 
 
-def listed(folder: Path) -> set[str]:
+def listed(folder: Path) -> AbstractSet[str]:
     """Return the names of the files in a folder that are listed as written by camcal."""
-    index = folder / OUTPUT_INDEX
-    with files.unwatched():
-        return set(os.fsdecode(files.read_bytes(index)).split("\n")) - {""} if index.is_file() else set()
+    return manifest.entries(folder).keys()
 
 
-def change_list(folder: Path, added: AbstractSet[str], removed: AbstractSet[str]) -> None:
-    """Add file names to the list of what camcal wrote into a folder and remove others; runs at once lose none."""
-    index = folder / OUTPUT_INDEX
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with system.locked(folder), files.unwatched():
-            known = (listed(folder) | set(map(in_one_line, added))) - set(map(in_one_line, removed))
-            if known:
-                lines = "".join(f"{name}\n" for name in sorted(known, key=files.natural_key))
-                files.write_bytes(index, os.fsencode(lines))  # a file name need not be UTF-8
-            else:
-                index.unlink(missing_ok=True)
-    except OSError as error:
-        raise FileError(f"cannot be written: {reason(error)}", where=str(index)) from error
+def completed(path: Path, temporary: Path, *, shortened: bool) -> Entry:
+    """Return the entry of a file that is about to take the place of another one.
+
+    Raises InvalidInput if the other one, which is shorter than it was written, is not the beginning of it.
+    """
+    if shortened and path.is_file() and not manifest.begins_with(temporary, path):
+        raise changed(path)
+    return Entry.of(temporary)
 
 
-def _refuse_one_place(outputs: Iterable[tuple[Declared, Path]]) -> None:
-    for (one, path), (other, same) in combinations(outputs, 2):
-        if system.place_of(path) == system.place_of(same) and str(path) != os.devnull:
-            raise InvalidInput(f"{one.name} and {other.name} would both be written to it", where=str(path))
+def changed(path: Path) -> InvalidInput:
+    """Return the error of an output that is no longer what camcal wrote."""
+    return _foreign(path, "was changed after camcal wrote it")
+
+
+def _foreign(path: Path, why: str) -> InvalidInput:
+    return InvalidInput(f"exists and {why}; use --overwrite or another output", where=str(path))
+
+
+def _compared(known: Sequence[tuple[Path, Entry]]) -> list[bool]:
+    """Return of each of some files whether it has the content that is known of it."""
+    if len(known) < _MANY:
+        return [entry.is_of(path) for path, entry in known]
+    return [outcome.value is True for outcome in fan_out(_is_of, known)]
+
+
+def _is_of(known: tuple[Path, Entry]) -> bool:
+    path, entry = known
+    return entry.is_of(path)
 
 
 def _require_writable(path: Path) -> None:

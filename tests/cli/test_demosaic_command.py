@@ -73,7 +73,7 @@ def test_a_folder_is_developed_as_one_json_document_and_its_outputs_are_not_read
     code, out, _ = run("demosaic", tmp_path / "raw", "--pattern", "RGGB", "-o", tmp_path / "raw" / "out", "--json")
     document = json.loads(out)
     assert code == 0
-    assert list(document) == ["schema", "images", "failed", "warnings"]
+    assert list(document) == ["schema", "images", "reused", "failed", "warnings"]
     assert document["schema"] == "camcal/demosaic/1"
     assert [Path(image["source"]).name for image in document["images"]] == ["frame2.png", "frame10.png"]
     keys = ["source", "output", "settings", "size", "pattern", "black", "white", "peak", "clipped", "gains"]

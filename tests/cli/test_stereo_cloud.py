@@ -146,7 +146,7 @@ def test_the_report_is_one_json_document(run, tmp_path, disparity, image):
     document = json.loads(out)
     assert code == 0
     keys = ["schema", "output", "points", "pixels", "matched", "outliers", "scale", "geometry", "depth_m", "appearance"]
-    assert list(document) == [*keys, "frame", "unit", "fields", "calibration_known", "warnings"]
+    assert list(document) == [*keys, "frame", "unit", "fields", "calibration_known", "reused", "warnings"]
     assert document["schema"] == "camcal/stereo-cloud/1"
     assert (document["points"], document["appearance"]) == (4, "gray")
     assert document["depth_m"] == {"min": 1.0, "median": 3.5, "max": 10.0}
@@ -446,7 +446,7 @@ def test_a_folder_of_maps_gives_a_folder_of_clouds_and_a_bad_map_costs_only_itse
     document = json.loads(out)
     assert code == 6
     assert "1 of 3 maps failed" in err
-    assert list(document) == ["schema", "clouds", "failed", "warnings", "error", "exit"]
+    assert list(document) == ["schema", "clouds", "reused", "failed", "warnings", "error", "exit"]
     assert [Path(report["output"]).name for report in document["clouds"]] == ["frame2.ply", "frame10.ply"]
     assert [Path(failure["source"]).name for failure in document["failed"]] == ["broken.pfm"]
     assert sorted(path.name for path in (tmp_path / "clouds").glob("[!.]*")) == ["frame10.ply", "frame2.ply"]

@@ -14,6 +14,7 @@ from camcal.formats import disparity_sidecar, native
 from camcal.formats.camera_file import CameraEntry, CameraFile, Transform
 from camcal.geometry.pose import Pose
 from camcal.images.load import load
+from camcal.run.outputs import listed
 from camcal.stereo.disparity import Confidence
 from camcal.stereo.geometry import StereoGeometry
 
@@ -184,9 +185,9 @@ def test_a_run_that_cannot_finish_does_not_begin(match, tmp_path):
 def test_the_files_of_one_pair_are_listed_in_their_folder(match, tmp_path):
     assert match("-o", tmp_path / "maps", "--type", "pfm")[0] == 0
     assert match("-o", tmp_path / "file" / "x.pfm")[0] == 0
-    assert "left.pfm.sigma.tiff\n" in (tmp_path / "maps" / ".camcal-output").read_text()
+    assert "left.pfm.sigma.tiff" in listed(tmp_path / "maps")
     assert names(tmp_path / "file") == BESIDE
-    assert (tmp_path / "file" / ".camcal-output").read_text().split() == BESIDE
+    assert sorted(listed(tmp_path / "file")) == BESIDE
 
 
 def test_disparities_of_zero_and_less_are_left_out_of_a_png_and_of_its_figures(match, tmp_path):
@@ -208,7 +209,7 @@ def test_the_json_document_of_a_pair(match, tmp_path, pair):
     code, out, _ = match(pair / "rig.yaml", "-o", tmp_path / "x.pfm", "--vis", "--json")
     document = json.loads(out)
     assert code == 0
-    assert list(document) == ["schema", "pairs", "failures", "failed", "warnings"]
+    assert list(document) == ["schema", "pairs", "reused", "failures", "failed", "warnings"]
     assert document["schema"] == "camcal/stereo-disparity/1"
     (found,) = document["pairs"]
     assert list(found) == [

@@ -38,7 +38,7 @@ def test_a_pair_becomes_rectified_images_a_map_a_cloud_and_a_page(run, tmp_path,
     report = json.loads(out)
     assert list(report) == [
         "schema", "rig", "rectified", "calibrated", "trustworthy", "projection", "axis", "image_size", "baseline_m",
-        "left", "right", "pairs", "failures", "failed", "warnings",
+        "left", "right", "pairs", "reused", "failures", "failed", "warnings",
     ]  # fmt: skip
     assert report["schema"] == "camcal/stereo-run/1"
     (pair,) = report["pairs"]

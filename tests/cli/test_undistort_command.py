@@ -51,7 +51,9 @@ def test_the_document_has_a_fixed_shape(run, folder):
     failed, error = err.splitlines()
     assert failed.startswith("camcal: failed: photos/3.png: unknown image format")
     assert error == "camcal: error: 1 of 4 images failed, the rest is written"
-    assert list(document) == ["schema", "camera_file", "mask", "view", "images", "failed", "warnings", "error", "exit"]
+    assert list(document) == [
+        *("schema", "camera_file", "mask", "view", "images", "reused", "failed", "warnings", "error", "exit")
+    ]
     assert document["schema"] == "camcal/undistort/1"
     assert document["camera_file"] == "out/camera.yaml"
     assert document["mask"] == "out/valid_mask.png"

@@ -10,7 +10,8 @@ import pytest
 from camcal import files
 from camcal.errors import FileError, InvalidInput
 from camcal.options import INPUT, OUTPUT, Argument, Option, OptionsRecord, Written
-from camcal.run.outputs import OUTPUT_INDEX, claim, says_camcal, writes
+from camcal.run import outputs
+from camcal.run.outputs import claim, says_camcal, writes
 from camcal.tasks.options import Overwrite
 
 
@@ -44,8 +45,7 @@ def source(tmp_path):
 
 
 def listed(folder):
-    index = folder / OUTPUT_INDEX
-    return index.read_text().split() if index.is_file() else []
+    return sorted(outputs.listed(folder))
 
 
 def test_a_second_run_replaces_what_the_first_one_wrote(source, tmp_path):

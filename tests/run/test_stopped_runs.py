@@ -105,9 +105,9 @@ def test_runs_into_one_folder_keep_all_of_their_outputs_listed(start_python, tmp
     program = """
 import sys
 from pathlib import Path
-from camcal.run.outputs import change_list
+from camcal.run.manifest import change
 for number in range(40):
-    change_list(Path(sys.argv[1]), {f"{sys.argv[2]}{number}.png"}, set())
+    change(Path(sys.argv[1]), {f"{sys.argv[2]}{number}.png": None})
 """
     runs = [start_python("-c", program, tmp_path, name) for name in "abc"]
     assert [run.communicate(timeout=60)[1] for run in runs] == ["", "", ""]

@@ -4,7 +4,9 @@ from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import chain
+from operator import attrgetter
 from pathlib import Path
 from typing import NamedTuple
 
@@ -15,8 +17,9 @@ from camcal.images.remap import Maps
 from camcal.images.save import save
 from camcal.images.video import frames
 from camcal.progress import Outcome, Progress
-from camcal.run.fanout import fan_out
+from camcal.run import fingerprint
 from camcal.run.options import BatchOptions
+from camcal.run.resume import Items, resumable
 
 
 @dataclass(frozen=True)
@@ -36,13 +39,22 @@ class Sources(NamedTuple):
 
 
 class _Item(NamedTuple):
-    """An image to draw: of a file, or a frame of a video with its number, or the error that ended the video."""
+    """An image to draw: of a file, or a frame of a video with its number, or the error that ended the video.
+
+    sha256: of the video.
+    """
 
     source: Path
     camera: str
     output: Path
     frame: int | None = None
     image: Image | CamcalError | None = None
+    sha256: str = ""
+
+    @property
+    def outputs(self) -> tuple[Path]:
+        """All files that are written."""
+        return (self.output,)
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,14 +81,30 @@ class Drawing:
         videos = [(camera, *video) for camera, own in sources.items() for video in own.videos.items()]
         if videos:
             items = chain(items, *(self._frames(*video) for video in videos))
-        for outcome in fan_out(self._draw, items, jobs=jobs, batch=batch, what="images", progress=progress):
-            yield outcome.item.camera, Outcome(outcome.item.source, outcome.value, outcome.error)
+        made: Items[_Item, Drawn] = Items(self._settings, self._inputs, attrgetter("outputs"), Drawn)
+        for outcome in resumable(self._draw, items, made, jobs=jobs, batch=batch, what="images", progress=progress):
+            yield outcome.item.camera, outcome.of(outcome.item.source)
+
+    @cached_property
+    def _settings(self) -> str:
+        return fingerprint.of_data([fingerprint.versions(), list(self.border), self.quality])
+
+    @cached_property
+    def _maps_sha256(self) -> Mapping[str, str]:
+        """The hashes of the maps by the names of cameras."""
+        return {camera: _sha256(maps) for camera, maps in self.maps.items()}
+
+    def _inputs(self, item: _Item) -> list[Path | str]:
+        """Return what a picture is made from: an image, or a video, hashed once, and a frame's number; and maps."""
+        source = [item.source] if item.image is None else [item.sha256, str(item.frame)]
+        return [*source, self._maps_sha256[item.camera]]
 
     def _frames(self, camera: str, source: Path, output: Path) -> Iterator[_Item]:
         try:
+            sha256 = fingerprint.of_file(source)
             for number, image in enumerate(frames(source)):
                 self._check_size(camera, source, image)
-                yield _Item(source, camera, output.with_stem(f"{output.stem}_{number:06d}"), number, image)
+                yield _Item(source, camera, output.with_stem(f"{output.stem}_{number:06d}"), number, image, sha256)
         except CamcalError as error:
             yield _Item(source, camera, output, None, error)
 
@@ -105,6 +133,12 @@ class Drawing:
             found, wanted = ("{}x{}".format(*each) for each in (image.size, size))
             advice = self.size_advice if same_shape(image.size, size) else ""
             raise InvalidInput(f"is {found}, the camera {wanted}{advice}", where=str(source))
+
+
+def _sha256(maps: Maps) -> str:
+    every = [maps, *(maps.aligned[channel] for channel in sorted(maps.aligned))]
+    arrays = [fingerprint.of_array(array) for each in every for array in (each.x, each.y)]
+    return fingerprint.of_data([maps.interpolation, maps.source_size, sorted(maps.aligned), arrays])
 
 
 def same_shape(one: tuple[int, int], other: tuple[int, int]) -> bool:

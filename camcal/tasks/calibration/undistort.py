@@ -27,7 +27,7 @@ from camcal.images.video import frames
 from camcal.images.views import make_view
 from camcal.messages import Message
 from camcal.options import command_line
-from camcal.progress import SILENT, Outcome, Progress
+from camcal.progress import SILENT, Outcome, Progress, reused
 from camcal.run.outputs import claim, writes
 from camcal.run.paths import Media, find_media, names_file, refuse_collisions, require_one, split_address
 from camcal.tasks.calibration.drawing import Drawing, Drawn, Sources, require_success, same_shape
@@ -210,6 +210,7 @@ def document(report: UndistortReport) -> dict[str, Any]:
             for outcome in report.outcomes
             if (drawn := outcome.value) is not None
         ],
+        "reused": reused(report.outcomes),
         "failed": [{"source": outcome.item, "message": str(outcome.error)} for outcome in report.failed],
         **aligned,
     }

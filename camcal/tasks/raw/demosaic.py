@@ -20,7 +20,7 @@ from camcal.formats import emit
 from camcal.images.image import Image
 from camcal.images.save import KINDS, save
 from camcal.options import NUMBERS, declared
-from camcal.progress import SILENT, Outcome, Progress
+from camcal.progress import SILENT, Outcome, Progress, reused
 from camcal.raw.colour import DTYPES
 from camcal.raw.demosaic import HALF, resolved
 from camcal.raw.develop import Corrections, Picture, clipped_shares, develop, negative
@@ -38,9 +38,11 @@ from camcal.raw.options import (
 )
 from camcal.raw.planes import Each, one_by_one
 from camcal.raw.reading import missing_pattern
-from camcal.run.fanout import fan_out, only_outcome, over_threads
+from camcal.run import fingerprint
+from camcal.run.fanout import over_threads
 from camcal.run.outputs import claim, writes
 from camcal.run.paths import find_images, place
+from camcal.run.resume import Items, resumable
 from camcal.tasks.raw.options import DemosaicOptions
 from camcal.tasks.raw.raw_corrections import load_corrections, read_frame
 
@@ -97,14 +99,33 @@ def _outcomes(
 ) -> Iterator[Outcome[Path, DevelopedFrame]]:
     """Yield what becomes of every frame; raises what keeps a single one from being developed."""
     jobs, batch = options.jobs, options.batch
-    if len(outputs) == 1:
-        alone = partial(_develop_alone, options=options, corrections=corrections)
-        found = iter([only_outcome(alone, next(iter(outputs.items())), batch)])
-    else:
-        work = partial(_develop_file, options=options, corrections=corrections)
-        found = fan_out(work, outputs.items(), jobs=jobs, batch=batch, what="demosaic", progress=progress)
-    for outcome in found:
-        yield Outcome(outcome.item[0], outcome.value, outcome.error)
+    alone = len(outputs) == 1
+    work = partial(_develop_alone if alone else _develop_file, options=options, corrections=corrections)
+    made: Items[_Item, DevelopedFrame] = Items(_fingerprint(options, corrections), _inputs, _written, DevelopedFrame)
+    frames = list(outputs.items())
+    for outcome in resumable(
+        work, frames, made, jobs=jobs, batch=batch, what="demosaic", progress=progress, alone=alone
+    ):
+        yield outcome.of(outcome.item[0])
+
+
+def _fingerprint(options: DemosaicOptions, corrections: Corrections) -> str:
+    """Return the fingerprint of what frames are developed with; settings files name the frames that correct them."""
+    given = options.corrections
+    settings = fingerprint.of_settings(options, without=("inputs", "recursive", "corrections.dark", "corrections.flat"))
+    arrays = [None if each is None else fingerprint.of_array(each) for each in (corrections.dark, corrections.flat)]
+    return fingerprint.of_data(
+        [settings, arrays, given.dark, given.flat, None if given.bad is None else str(given.bad)]
+    )
+
+
+def _inputs(item: _Item) -> list[Path | str]:
+    """Return a frame and its name, which the settings file holds."""
+    return [item[0], item[0].as_posix()]
+
+
+def _written(item: _Item) -> list[Path]:
+    return [item[1], _settings_beside(item[1])]
 
 
 def _develop_alone(item: _Item, options: DemosaicOptions, corrections: Corrections) -> DevelopedFrame:
@@ -206,6 +227,7 @@ def document(outcomes: Sequence[Outcome[Path, DevelopedFrame]]) -> dict[str, Any
     paths = ("source", "output", "settings")
     return {
         "images": [asdict(frame) | {name: getattr(frame, name).as_posix() for name in paths} for frame in written],
+        "reused": reused(outcomes),
         "failed": [
             {"source": outcome.item.as_posix(), "message": str(outcome.error)} for outcome in outcomes if outcome.error
         ],

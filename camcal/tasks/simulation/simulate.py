@@ -27,7 +27,8 @@ from camcal.images.save import save
 from camcal.options import command_line
 from camcal.progress import SILENT, Progress, require_all
 from camcal.run.fanout import fan_out
-from camcal.run.outputs import OUTPUT_INDEX, claim, owned, writes
+from camcal.run.manifest import MANIFEST
+from camcal.run.outputs import claim, owned, writes
 from camcal.run.paths import split_address
 from camcal.simulate import mosaics
 from camcal.simulate.captures import captures, seen_by
@@ -335,7 +336,7 @@ def require_own(folder: Path, truth: str) -> None:
     """Raise InvalidInput unless a folder is empty, new, or holds an earlier simulation; truth: its camera file."""
     if folder.exists() and not folder.is_dir():
         raise InvalidInput("is a file; expected a folder", where=str(folder))
-    other = folder.is_dir() and any(path.name != OUTPUT_INDEX for path in folder.iterdir())
+    other = folder.is_dir() and any(path.name != MANIFEST for path in folder.iterdir())
     if other and not _is_ours(folder / truth):
         raise InvalidInput("is not empty and not an earlier simulation; choose another folder", where=str(folder))
 

@@ -1,4 +1,4 @@
-"""`camcal stereo cloud`: a disparity map, and what is known of its pair, to a point cloud."""
+"""A disparity map and what is known of its pair, or an unrectified pair and its rig, to a point cloud."""
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, dataclass, replace
@@ -17,9 +17,8 @@ from camcal.images.load import load
 from camcal.messages import Message
 from camcal.parsing import parse_number
 from camcal.progress import SILENT, Collected, Progress, values_of, warn_of
-from camcal.run.fanout import fan_out, only_outcome, over_threads
-from camcal.run.outputs import writes
-from camcal.run.paths import IMAGE_SUFFIXES, find_pairs, require_there, split_address
+from camcal.run.fanout import fan_out, over_threads
+from camcal.run.paths import IMAGE_SUFFIXES, find_pairs, split_address
 from camcal.stereo.disparity import Confidence
 from camcal.stereo.geometry import StereoGeometry
 from camcal.stereo.points.cloud import CloudMaker, thinned
@@ -45,7 +44,7 @@ class CloudReport:
     matched: pixels with a match. outliers: those left out because they stand alone. depth: smallest, median and largest
     z along the optical axis, metres, None for an empty cloud. appearance: colour, gray or none. frame: in words.
     fields: of a point, in the order of the file. calibration_known: whether its uncertainty is part of the depth's.
-    warnings: about it, in order.
+    warnings: about it, in order. reused: whether an earlier run wrote it.
     """
 
     output: Path
@@ -62,6 +61,7 @@ class CloudReport:
     fields: tuple[str, ...]
     calibration_known: bool
     warnings: tuple[Message, ...] = ()
+    reused: bool = False
 
 
 class PointSource(NamedTuple):
@@ -72,25 +72,12 @@ class PointSource(NamedTuple):
     camera_R_rectified: FloatArray | None
 
 
-@writes
-def stereo_cloud(options: CloudOptions, progress: Progress = SILENT) -> CloudReport:
-    """Return what was written to options.output.
-
-    Raises InvalidInput for a geometry that is incomplete or not rectified, sizes that differ, and for what is asked of
-    a point and not known; FileError.
-    """
-    require_there(options.disparity)
-    work = partial(make_cloud, rig=rig_of_cloud(options, progress))
-    report = only_outcome(work, (options.disparity, options), options.batch).value
-    assert report is not None
-    warn_of(report.warnings, progress)
-    return report
-
-
 def make_cloud(item: tuple[Path, CloudOptions], rig: RigPair | None) -> CloudReport:
-    """Return what was written, of a pair rectified by `rig` or of a map, with its warnings; see `stereo_cloud`.
+    """Return what was written, of a pair rectified by `rig` or of a map, with its warnings.
 
     The path comes first, as errors have it.
+    Raises InvalidInput for a geometry that is incomplete or not rectified, sizes that differ, and for what is asked of
+    a point and not known; FileError.
     """
     heard = Collected()
     report = _cloud(item[1], rig, heard)
@@ -343,4 +330,5 @@ def document(report: CloudReport) -> dict[str, Any]:
         "unit": report.unit,
         "fields": list(report.fields),
         "calibration_known": report.calibration_known,
+        "reused": report.reused,
     }

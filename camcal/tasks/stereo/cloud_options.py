@@ -159,7 +159,7 @@ class CloudOptions(OptionsRecord):
     points: PointOptions = field(default_factory=PointOptions)
     vertices: VertexOptions = field(default_factory=VertexOptions)
     jobs: Jobs = None
-    batch: Annotated[BatchOptions, Without(("resume", "scheduler"))] = DEFAULT_BATCH
+    batch: Annotated[BatchOptions, Without(("scheduler",))] = DEFAULT_BATCH
     overwrite: Overwrite = False
 
     @property

@@ -196,7 +196,7 @@ class DisparityOptions(OptionsRecord):
     force: Force = False
     recursive: Recursive = False
     jobs: Jobs = None
-    batch: Annotated[BatchOptions, Without(("resume", "scheduler"))] = DEFAULT_BATCH
+    batch: Annotated[BatchOptions, Without(("scheduler",))] = DEFAULT_BATCH
     overwrite: Overwrite = False
 
     def __post_init__(self) -> None:

@@ -16,7 +16,7 @@ from camcal.images.save import save
 from camcal.images.video import frames
 from camcal.messages import as_data
 from camcal.options import command_line
-from camcal.progress import SILENT, Outcome, Progress
+from camcal.progress import SILENT, Outcome, Progress, reused
 from camcal.run.outputs import claim, writes
 from camcal.run.paths import find_media, paired, refuse_collisions, split_address
 from camcal.stereo.rectify.maps import PairMaps, build_pair_maps
@@ -231,5 +231,6 @@ def document(report: RectifyReport) -> dict[str, Any]:
             for outcome in each
             if (drawn := outcome.value) is not None
         ],
+        "reused": reused(report.images),
         "failed": [{"source": outcome.item, "message": str(outcome.error)} for outcome in report.failed],
     }

@@ -105,7 +105,8 @@ class PairRun:
         cloud = write_points(how, source_of_match(images, found), heard)
         page = _write_page(places, capture.name) if cloud.points else None
         warnings = (*doubts, *matched.warnings, *heard.warnings)
-        return RunPair(capture, places, check, matched.figures, cloud, page, warnings, matched.failures)
+        named = capture._replace(frames=None)  # frames would be kept for as long as the report is
+        return RunPair(named, places, check, matched.figures, cloud, page, warnings, matched.failures)
 
     def _rectified(self, capture: Capture) -> PairImages:
         sources = (capture.left, capture.right)

@@ -17,11 +17,12 @@ from camcal.formats.disparity_sidecar import Sidecar, SourceFile
 from camcal.images.load import load
 from camcal.images.save import save
 from camcal.messages import Message, as_data
-from camcal.progress import SILENT, Outcome, Progress, warn_of
+from camcal.progress import SILENT, Outcome, Progress, reused, warn_of
 from camcal.report.stereo_pictures import disparity_picture, robust_range
-from camcal.run.fanout import fan_out, only_outcome
+from camcal.run import fingerprint
 from camcal.run.outputs import claim, writes
 from camcal.run.paths import find_pairs, place
+from camcal.run.resume import Items, resumable
 from camcal.stereo.disparity import Confidence, Disparity
 from camcal.tasks.stereo.options import ONNX, OWN, DisparityOptions
 from camcal.tasks.stereo.pair_matching import Matched, PairImages, match_images, read_pair
@@ -121,12 +122,13 @@ def stereo_disparity(options: DisparityOptions, progress: Progress = SILENT) -> 
     pairs = find_pairs(options.left, options.right, options.recursive)
     outputs = _places(pairs, options)
     warn_of_file(options.camera_file, progress)
-    work = partial(_match_files, options=options, outputs=outputs, rig=_rig(pairs, options, progress))
-    if len(pairs) == 1:
-        outcome = only_outcome(partial(work, alone=True), pairs[0], options.batch)
-        _warn(outcome, progress)
-        return [outcome]
-    return list(_all_alike(pairs, work, options, progress))
+    batch = _Batch(options, outputs, _rig(pairs, options, progress))
+    found = []
+    for outcome in batch.alone(pairs) if len(pairs) == 1 else batch.all_alike(pairs, progress):
+        if outcome.value is not None:
+            warn_of((warning.at(outcome.value.left) for warning in outcome.value.warnings), progress)
+        found.append(outcome)
+    return found
 
 
 def _rig(pairs: Sequence[Pair], options: DisparityOptions, progress: Progress) -> RigPair | None:
@@ -157,18 +159,57 @@ def failures(outcomes: Sequence[Outcome[Pair, MatchedPair]]) -> list[Message]:
     return [failure.at(pair.left) for pair in matched for failure in pair.failures]
 
 
-def _all_alike(
-    pairs: Sequence[Pair], work: "partial[MatchedPair]", options: DisparityOptions, progress: Progress
-) -> Iterator[Outcome[Pair, MatchedPair]]:
-    """Yield what becomes of several pairs, whose pictures have the colours of the first one's."""
-    jobs, batch, what = options.jobs, options.batch, "disparity"
-    if options.picture:
-        for outcome in fan_out(work, pairs[:1], batch=batch.keep_going):
-            if outcome.value is not None:
-                work = partial(work, limits=outcome.value.limits)
-    for outcome in fan_out(work, pairs, jobs=jobs, batch=batch, processes=True, what=what, progress=progress):
-        _warn(outcome, progress)
-        yield outcome
+@dataclass(frozen=True, eq=False)
+class _Batch:
+    """What all pairs share: the options, the map of each pair by its left image, and the rig of unrectified pairs."""
+
+    options: DisparityOptions
+    outputs: Mapping[Path, Path]
+    rig: RigPair | None
+
+    def alone(self, pairs: Sequence[Pair]) -> Iterator[Outcome[Pair, MatchedPair]]:
+        """Yield what becomes of a single pair, on all cores; raises what keeps it from being matched."""
+        work = partial(self.work(None), alone=True)
+        return resumable(work, pairs, self.items(None), batch=self.options.batch, alone=True)
+
+    def all_alike(self, pairs: Sequence[Pair], progress: Progress) -> Iterator[Outcome[Pair, MatchedPair]]:
+        """Yield what becomes of several pairs, whose pictures have the colours of the first one's."""
+        jobs, batch, limits = self.options.jobs, self.options.batch, None
+        if self.options.picture:
+            [first] = resumable(self.work(None), pairs[:1], self.items(None), batch=batch.keep_going)
+            yield first
+            if first.error is not None and batch.fail_fast:
+                return
+            limits, pairs = None if first.value is None else first.value.limits, pairs[1:]
+        yield from resumable(
+            self.work(limits),
+            pairs,
+            self.items(limits),
+            jobs=jobs,
+            batch=batch,
+            processes=True,
+            what="disparity",
+            progress=progress,
+        )
+
+    def work(self, limits: Limits | None) -> "partial[MatchedPair]":
+        """Return what is done with a pair; limits: of the colours of its picture, None for its own."""
+        return partial(_match_files, options=self.options, outputs=self.outputs, rig=self.rig, limits=limits)
+
+    def items(self, limits: Limits | None) -> Items[Pair, MatchedPair]:
+        """Return what maps are made from, and their files."""
+        settings = fingerprint.of_settings(self.options, without=("left", "right", "recursive"))
+        written = partial(_written, outputs=self.outputs)
+        return Items(fingerprint.of_data([settings, limits]), _inputs, written, MatchedPair)
+
+
+def _inputs(pair: Pair) -> list[Path | str]:
+    """Return the images of a pair and their names, which the sidecar of the map holds."""
+    return [*pair, *(path.as_posix() for path in pair)]
+
+
+def _written(pair: Pair, outputs: Mapping[Path, Path]) -> MapFiles:
+    return MapFiles.beside(outputs[pair[0]])
 
 
 def _places(pairs: Sequence[Pair], options: DisparityOptions) -> Mapping[Path, Path]:
@@ -298,16 +339,12 @@ def _settings(options: DisparityOptions) -> dict[str, Any]:
     return {"engine": OWN, "quality": options.matching.quality, "fill": options.matching.fill}
 
 
-def _warn(outcome: Outcome[Pair, MatchedPair], progress: Progress) -> None:
-    if outcome.value is not None:
-        warn_of((warning.at(outcome.value.left) for warning in outcome.value.warnings), progress)
-
-
 def document(outcomes: Sequence[Outcome[Pair, MatchedPair]]) -> dict[str, Any]:
     """Return what became of the pairs as plain data for --json."""
     matched = [outcome.value for outcome in outcomes if outcome.value is not None]
     return {
         "pairs": [_plain(pair) for pair in matched],
+        "reused": reused(outcomes),
         "failures": as_data(failures(outcomes)),
         "failed": [
             {"left": left.as_posix(), "right": right.as_posix(), "message": str(outcome.error)}

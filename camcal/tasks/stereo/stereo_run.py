@@ -3,6 +3,7 @@
 from collections.abc import Generator, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -15,11 +16,12 @@ from camcal.images import video
 from camcal.images.load import load
 from camcal.messages import Message
 from camcal.options import command_line
-from camcal.progress import SILENT, Outcome, Progress, warn_of
+from camcal.progress import SILENT, Outcome, Progress, reused, warn_of
 from camcal.report import stereo_words
-from camcal.run.fanout import fan_out
+from camcal.run import fingerprint
 from camcal.run.outputs import claim, writes
 from camcal.run.paths import find_media, find_pairs, place
+from camcal.run.resume import Items, resumable
 from camcal.stereo.rectify.record import Rectification
 from camcal.tasks.rigs.calibrate_rig import RigReport, calibrated
 from camcal.tasks.rigs.rig_views import rig_views
@@ -76,7 +78,7 @@ def stereo_run(options: RunOptions, progress: Progress = SILENT) -> RunReport:
     rectification = rig.rectification(options.view)
     warn_of((each.at(address) for each in rectification.warnings), progress)
     native.write(rectified, rectified_file(rig, rectification, command_line("stereo run", options)))
-    outcomes = list(_outcomes(scene, rig_pair(rig, rectification), options, progress))
+    outcomes = list(_outcomes(scene, rig_pair(rig, rectification), rig.path, options, progress))
     done = [outcome.value for outcome in outcomes if outcome.value is not None]
     if not done:
         raise next(outcome.error for outcome in outcomes if outcome.error is not None)
@@ -120,15 +122,43 @@ def _calibrated(options: RunOptions, path: Path, progress: Progress) -> RigRepor
 
 
 def _outcomes(
-    scene: "_Scene", rig: RigPair, options: RunOptions, progress: Progress
+    scene: "_Scene", rig: RigPair, rig_file: Path, options: RunOptions, progress: Progress
 ) -> Iterator[Outcome[Capture, RunPair]]:
     """Yield what becomes of the pairs in their order: small ones in processes, large ones by threads for each."""
     width, height = rig.rectification.size
     alone = len(scene.names) == 1 or width * height > _LARGE
     run = PairRun(rig, options, options.jobs if alone else 1)
-    jobs, batch, what = 1 if alone else options.jobs, options.batch, "stereo run"
-    with closing(scene.captures()) as captures:
-        yield from fan_out(run, captures, jobs=jobs, batch=batch, processes=not alone, what=what, progress=progress)
+    settings = fingerprint.of_settings(options, without=("inputs", "scene", "every", "recursive"))
+    facts = [settings, fingerprint.of_file(rig_file), scene.size()]
+    written = partial(_written, options=options)
+    pairs: Items[Capture, RunPair] = Items(fingerprint.of_data(facts), _inputs, written, RunPair, _named)
+    with closing(scene.captures()) as frames:
+        yield from resumable(
+            run,
+            frames if scene.videos else list(frames),
+            pairs,
+            jobs=1 if alone else options.jobs,
+            batch=options.batch,
+            processes=not alone,
+            what="stereo run",
+            progress=progress,
+        )
+
+
+def _inputs(capture: Capture) -> list[Path | str]:
+    """Return what a pair is: its images, or the frames of its videos, and the names that its files hold."""
+    names = [path.as_posix() for path in _named(capture)]
+    if capture.frames is None:
+        return [*_named(capture), *names]
+    return [*map(fingerprint.of_array, capture.frames), *names]
+
+
+def _named(capture: Capture) -> tuple[Path, Path]:
+    return capture.left, capture.right
+
+
+def _written(capture: Capture, options: RunOptions) -> list[Path]:
+    return list(RunFiles.of(options.output, capture.name, options.clouds).every())
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,6 +225,7 @@ def document(report: RunReport) -> dict[str, Any]:
         "left": rectified.left,
         "right": rectified.right,
         "pairs": [_plain(pair) for pair in report.pairs],
+        "reused": reused(report.outcomes),
         "failures": messages.as_data(report.failures),
         "failed": [
             {
