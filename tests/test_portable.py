@@ -73,7 +73,7 @@ def _opens_text(call: ast.Call) -> bool:
     if last not in _TEXT_FILES or named[0] in ("files", "os", "laspy", "self"):
         return False
     values = [*call.args, *(word.value for word in call.keywords)]
-    binary = any(isinstance(each, ast.Constant) and each.value in ("rb", "wb", "r+b", "xb") for each in values)
+    binary = any(isinstance(each, ast.Constant) and each.value in ("rb", "wb", "r+b", "xb", "ab") for each in values)
     return not binary and "encoding" not in {word.arg for word in call.keywords}
 
 

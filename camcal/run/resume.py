@@ -67,7 +67,7 @@ def made_from(settings: str, inputs: Iterable[Path | str]) -> str:
 
 
 @dataclass(frozen=True)
-class Made(Generic[Value]):
+class MadeItem(Generic[Value]):
     """What came of an item: its value, what it was made from, and the files that were written."""
 
     value: Value
@@ -115,7 +115,7 @@ class _Recorded(Generic[Item, Value]):
     shortened: AbstractSet[Path]
     resume: bool
 
-    def __call__(self, item: Item) -> Made[Value]:
+    def __call__(self, item: Item) -> MadeItem[Value]:
         fingerprint_before = self.items.made_from(item)
         ledger = ItemLedger(files.LEDGER.get(), self.shortened, self.resume)
         token = files.LEDGER.set(ledger)
@@ -123,7 +123,7 @@ class _Recorded(Generic[Item, Value]):
             value = self.function(item)
         finally:
             files.LEDGER.reset(token)
-        return Made(value, fingerprint_before, tuple(ledger.made.items()))
+        return MadeItem(value, fingerprint_before, tuple(ledger.made.items()))
 
 
 def resumable(
@@ -148,7 +148,7 @@ def resumable(
     recorded = _Recorded(function, items, run.shortened, batch.resume)
     batch_record = _BatchRecord(run, items)
 
-    def work(left: Iterable[Item]) -> Iterator[Outcome[Item, Made[Value]]]:
+    def work(left: Iterable[Item]) -> Iterator[Outcome[Item, MadeItem[Value]]]:
         if alone:
             return (only_outcome(recorded, item, batch) for item in left)
         return fan_out(recorded, left, jobs=jobs, batch=batch, processes=processes, what=what, progress=progress)
@@ -161,7 +161,7 @@ def resumable(
     return batch_record.sorted(every, work)
 
 
-_Work = Callable[[Iterable[Item]], Iterator[Outcome[Item, Made[Value]]]]
+_Work = Callable[[Iterable[Item]], Iterator[Outcome[Item, MadeItem[Value]]]]
 
 
 class _BatchRecord(Generic[Item, Value]):
@@ -242,7 +242,7 @@ class _BatchRecord(Generic[Item, Value]):
         for folder, names in folders.items():
             manifest.append(folder, names)
 
-    def _recorded(self, outcome: Outcome[Item, Made[Value]]) -> Outcome[Item, Value]:
+    def _recorded(self, outcome: Outcome[Item, MadeItem[Value]]) -> Outcome[Item, Value]:
         """Return what became of an item, after adding its files to the lists of their folders."""
         made = outcome.value
         if made is None:
