@@ -71,6 +71,7 @@ COMMANDS = (
     Entry("transform check", "transform:check", "Check whether poses are valid."),
     Entry("transform points", "transform:points", "Transform the points of a file to another frame."),
     Entry("optics", "optics:optics", "Compute field of view, depth of field, resolution."),
+    Entry("run", "pipeline:run", "Run a pipeline of commands from one file."),
     Entry("doctor", "doctor:doctor", "Check the installation."),
 )
 

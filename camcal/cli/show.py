@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from dataclasses import dataclass, field
+from io import StringIO
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any, TextIO
 
@@ -54,6 +55,7 @@ class Session:
 
 _session: ContextVar[Session | None] = ContextVar("session", default=None)
 _aside: ContextVar[bool] = ContextVar("aside", default=False)
+_kept: ContextVar[StringIO | None] = ContextVar("kept", default=None)
 
 
 def text(line: str) -> None:
@@ -152,8 +154,19 @@ def aside() -> Iterator[None]:
         _aside.reset(token)
 
 
+@contextmanager
+def kept() -> Iterator[StringIO]:
+    """Yield a text that takes what the block would print, errors and warnings too."""
+    text = StringIO()
+    token = _kept.set(text)
+    try:
+        yield text
+    finally:
+        _kept.reset(token)
+
+
 def _stream() -> TextIO | None:
-    return sys.stderr if _aside.get() else sys.stdout
+    return _kept.get() or (sys.stderr if _aside.get() else sys.stdout)
 
 
 def width() -> int:
@@ -241,7 +254,7 @@ def document(command: str, payload: Mapping[str, Any]) -> None:
     Numbers have 12 significant digits; NaN and infinities become null, arrays lists, paths text.
     """
     schema = f"camcal/{command.replace(' ', '-')}/1"
-    value(json.dumps({"schema": schema, **_plain(payload)}, indent=2, allow_nan=False))
+    value(json.dumps({"schema": schema, **plain(payload)}, indent=2, allow_nan=False))
 
 
 def result(command: str, payload: Mapping[str, Any]) -> None:
@@ -279,6 +292,11 @@ def _is_new(message: Message) -> bool:
     if new:
         session.warnings.append(message)
     return new
+
+
+def note(about: str, line: str) -> None:
+    """Print to stderr what came of a part of the work while the rest goes on."""
+    _complain(about, line)
 
 
 def error(message: str) -> None:
@@ -347,26 +365,27 @@ class _Terminal:
         if self.bar is None:
             warning(message)
             return
-        for line in _lines("warning", str(message)) if _is_new(message) else ():
+        for line in _lines("warning", str(message), on_terminal=True) if _is_new(message) else ():
             self.bar.console.print(line, markup=False, highlight=False, soft_wrap=True)
 
 
 def _complain(kind: str, message: str) -> None:
-    if sys.stderr is None:
+    stream = _kept.get() or sys.stderr
+    if stream is None:
         return
     with suppress(OSError):  # nobody is left to hear of it
-        for line in _lines(kind, message):
-            print(line, file=sys.stderr)  # noqa: T201
+        for line in _lines(kind, message, on_terminal=stream.isatty()):
+            print(line, file=stream)
 
 
-def _lines(kind: str, message: str) -> Iterator[str]:
+def _lines(kind: str, message: str, *, on_terminal: bool) -> Iterator[str]:
     """Yield the lines of a message as they are shown: without what steers a terminal, and none without end.
 
     On a terminal they end at words.
     """
     for line in map(printable, message.split("\n")):
         said = f"camcal: {kind}: {_shortened(line)}"
-        yield from wrapped(said, width()) if sys.stderr.isatty() else [said]
+        yield from wrapped(said, width()) if on_terminal else [said]
 
 
 def _shortened(line: str) -> str:
@@ -382,14 +401,14 @@ def _printable_cell(cell: object) -> object:
     return printable(in_one_line(cell)) if isinstance(cell, str) else cell
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
     """Return the value as JSON takes it."""
     if hasattr(value, "tolist"):  # numpy arrays and scalars, without importing numpy
         value = value.tolist()
     if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
+        return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
+        return [plain(item) for item in value]
     if isinstance(value, float):
         return float(f"{value:.{_SIGNIFICANT_DIGITS}g}") if math.isfinite(value) else None
     return str(value) if isinstance(value, PurePath) else value

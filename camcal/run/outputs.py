@@ -106,14 +106,16 @@ class Run:
     """The account of a run, which its threads share.
 
     read, written, replaced: files by device and number; to be replaced is what stands in the place of an output.
-    planned: outputs, and the file that was in their place (None: none). intact: those of them that are as camcal left
-    them. shortened: those that are shorter than that, and may be the beginning of it. made: what was written.
+    sources: the paths of what was read. planned: outputs, and the file that was in their place (None: none). intact:
+    those of them that are as camcal left them. shortened: those that are shorter than that, and may be the beginning of
+    it. made: what was written.
     """
 
     def __init__(self) -> None:
         self.overwrite = False
         self.resume = False
         self.read: set[FileId] = set()
+        self.sources: set[Path] = set()
         self.written: set[FileId] = set()
         self.replaced: set[FileId] = set()
         self.planned: dict[Path, os.stat_result | None] = {}
@@ -238,6 +240,7 @@ class Run:
         if _id(file) in self.written:
             return
         self.read.add(_id(file))
+        self.sources.add(path.absolute())
         if _id(file) in self.replaced:
             raise _is_input(path)
 

@@ -14,7 +14,7 @@ from typing import Any
 from camcal import files
 from camcal.errors import CamcalError, in_one_line
 from camcal.formats import documents
-from camcal.formats.documents import Fault
+from camcal.formats.documents import Fault, child
 from camcal.options import Declared, by_group
 from camcal.parsing import nearest
 
@@ -47,28 +47,38 @@ def read_settings(path: Path, options: Mapping[str, bool]) -> Settings:
     text = files.read_text(path)
     if not any(line.strip() and not line.lstrip().startswith("#") for line in text.splitlines()):
         return Settings(str(path), {}, {})
-    document = documents.parse(text, str(path), lambda data, _: _faults(data, options))
-    named = {key.replace("-", "_"): key for key in document if not key.startswith(_NOTE)}
+    document = documents.parse(text, str(path), lambda data, _: wrong_settings(data, options))
+    named = {key.replace("-", "_"): key for key in document if not is_note(key)}
     return Settings(
         where=document.where,
-        values={name: _typed(document[key], several=options[name]) for name, key in named.items()},
+        values={name: typed(document[key], several=options[name]) for name, key in named.items()},
         lines={name: document.line(key) for name, key in named.items()},
     )
 
 
-def _faults(data: Any, options: Mapping[str, bool]) -> Iterator[Fault]:
+def is_note(key: str) -> bool:
+    """Return whether a key holds a note of the user."""
+    return key.startswith(_NOTE)
+
+
+def wrong_settings(data: Any, options: Mapping[str, bool], above: str = "") -> Iterator[Fault]:
+    """Yield what is wrong with the keys of a mapping and their values; options: as in `read_settings`.
+
+    above: the key path of the mapping.
+    """
     seen: set[str] = set()
     for key, value in data.items() if isinstance(data, dict) else ():
-        if key.startswith(_NOTE):
+        if is_note(key):
             continue
         name = key.replace("-", "_")
         if name not in options:
             near = nearest(name, options)
-            yield Fault(key, "unknown key." + (f" Did you mean {near.replace('_', '-')!r}?" if near else ""))
+            said = f" Did you mean {near.replace('_', '-')!r}?" if near else ""
+            yield Fault(child(above, key), f"unknown key.{said}")
         elif name in seen:
-            yield Fault(key, "given twice, once with - and once with _")
+            yield Fault(child(above, key), "given twice, once with - and once with _")
         elif problem := _problem(value, several=options[name]):
-            yield Fault(key, problem)
+            yield Fault(child(above, key), problem)
         seen.add(name)
 
 
@@ -82,7 +92,8 @@ def _problem(value: Any, *, several: bool) -> str | None:
     return "has no value; remove the line for the default" if value is None else None
 
 
-def _typed(value: Any, *, several: bool) -> Value:
+def typed(value: Any, *, several: bool) -> Value:
+    """Return a value of a settings file as typed on a command line."""
     if several:
         return [str(item) for item in (value if isinstance(value, list) else [value])]
     return value if isinstance(value, bool) else str(value)

@@ -1,0 +1,57 @@
+"""`camcal run`."""
+
+import sys
+from dataclasses import replace
+from functools import partial
+from typing import TYPE_CHECKING
+
+from camcal.cli import show
+from camcal.cli.command import ImageCall
+from camcal.tasks.pipelines.options import PipelineOptions
+
+if TYPE_CHECKING:
+    from camcal.tasks.pipelines.run_pipeline import PipelineReport, StepReport
+
+
+def run(options: PipelineOptions, call: ImageCall) -> None:
+    """Run a pipeline: commands with their options from one file, in the order that follows from their files.
+
+    The whole file is checked first. Steps whose inputs, options, versions and outputs are those of the last time are
+    not run again; steps that do not need each other are run at once. If a step fails, those that need it are not run,
+    the others are. The exit code is that of the worst step. Paths are relative to the file.
+    """
+    from camcal.cli.steps import StepCommands, perform
+    from camcal.tasks.pipelines.run_pipeline import run_pipeline
+    from camcal.tasks.pipelines.summary import document, require_success
+
+    told = None if call.quiet else partial(_tell, verbose=call.verbose)
+    report = run_pipeline(options, StepCommands(), perform, call.progress, told)
+    call.give(lambda: document(report), lambda: _show(report, options, call.verbose))
+    require_success(report)
+
+
+def _tell(each: "StepReport", *, verbose: bool) -> None:
+    """Print to stderr what came of a step as soon as it has ended; on a terminal the table says it."""
+    from camcal.tasks.pipelines.run_pipeline import UP_TO_DATE
+    from camcal.tasks.pipelines.summary import result_words
+
+    for warning in each.result.warnings if each.state != UP_TO_DATE else ():
+        show.warning(replace(warning, where=": ".join(filter(None, (each.name, warning.where)))))
+    if verbose or sys.stderr is None or not sys.stderr.isatty():
+        show.note(f"step {each.name}", ": ".join(filter(None, (each.state, result_words(each)))))
+    for line in each.result.text.splitlines() if verbose else ():
+        show.note(f"step {each.name}", line)
+
+
+def _show(report: "PipelineReport", options: PipelineOptions, verbose: bool) -> None:
+    from camcal.report.value_histogram import value_histogram
+    from camcal.tasks.pipelines import summary
+
+    if options.dry_run:
+        show.table(report.where, summary.PLANNED_COLUMNS, summary.planned_rows(report), verbose=verbose)
+    else:
+        rows = summary.rows(report)
+        show.table(report.where, summary.COLUMNS, rows, verbose=verbose, most=show.LISTED)
+        for title, values in summary.distributions(report):
+            show.figure(partial(value_histogram, values, title))
+    show.verdict(summary.verdict(report), good=None if options.dry_run else report.code == 0)

@@ -1,0 +1,1 @@
+"""Pipelines: several commands, described in one file."""

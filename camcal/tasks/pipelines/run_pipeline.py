@@ -1,0 +1,245 @@
+"""`camcal run`: the steps of a pipeline, those that are not up to date, in their order."""
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import chdir
+from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import Protocol
+
+from camcal.errors import EXIT_PRECEDENCE, InvalidInput
+from camcal.files import unwatched
+from camcal.parsing import did_you_mean
+from camcal.progress import SILENT, Outcome, Progress
+from camcal.run.fanout import fan_out
+from camcal.run.outputs import watching
+from camcal.run.paths import require_there
+from camcal.run.process import available_cores
+from camcal.tasks.pipelines.options import PipelineOptions
+from camcal.tasks.pipelines.order import Order, missing_inputs, ordered
+from camcal.tasks.pipelines.reading import Commands, read_pipeline
+from camcal.tasks.pipelines.state import State, files_of
+from camcal.tasks.pipelines.step import Step, StepError, StepJob, StepResult
+
+DONE, UP_TO_DATE, FAILED, NOT_RUN, WOULD_RUN = "done", "up to date", "failed", "not run", "would run"
+
+
+class Perform(Protocol):
+    """Runs a step, in this process or in a worker."""
+
+    def __call__(self, job: StepJob, progress: Progress = SILENT, /) -> StepResult: ...
+
+
+@dataclass(frozen=True, eq=False)
+class StepReport:
+    """A step, its state, why it is in that state, and what came of it; a step that was not run has no result."""
+
+    step: Step
+    state: str
+    reason: str = ""
+    result: StepResult = field(default_factory=StepResult)
+
+    @property
+    def name(self) -> str:
+        return self.step.name
+
+
+Told = Callable[[StepReport], None]
+
+
+@dataclass(frozen=True, eq=False)
+class PipelineReport:
+    """What came of the chosen steps of a pipeline, in their order. where: the pipeline file."""
+
+    where: str
+    steps: tuple[StepReport, ...]
+
+    @property
+    def code(self) -> int:
+        """The exit code of the worst step."""
+        return min((each.result.code for each in self.steps), key=EXIT_PRECEDENCE.index, default=0)
+
+    def count(self, state: str) -> int:
+        """Return how many steps are in a state."""
+        return sum(each.state == state for each in self.steps)
+
+
+def run_pipeline(
+    options: PipelineOptions,
+    commands: Commands,
+    perform: Perform,
+    progress: Progress = SILENT,
+    told: Told | None = None,
+) -> PipelineReport:
+    """Return what came of the steps of a pipeline, after running those that are not up to date.
+
+    commands: the options records of commands that may be steps. perform: runs a step, in this process or in a worker.
+    told: is called with every step when it has ended. The working directory is the folder of the pipeline meanwhile.
+    Raises InvalidInput or FileError for a pipeline that is wrong, before any step runs; what a step raises is in its
+    result.
+    """
+    where, file, state_file = str(options.pipeline), options.pipeline.absolute(), options.state_file.absolute()
+    require_there(options.pipeline)
+    with watching() as ledger, chdir(file.parent):
+        with unwatched():
+            pipeline = read_pipeline(file, where, dict(text.split("=", 1) for text in options.variables), commands)
+            order = ordered(pipeline)
+            chosen = _chosen(order, options)
+            if found := dict.fromkeys(missing_inputs(pipeline, order, chosen)):
+                raise pipeline.document.error(found)
+            state = State(state_file)
+        run = _PipelineRun(order, chosen, state, options, file, perform, progress, told or (lambda _: None))
+        if options.dry_run:
+            return PipelineReport(where, tuple(run.foreseen()))
+        ledger.plan_named(state_file)
+        return PipelineReport(where, tuple(run.all_steps()))
+
+
+def _chosen(order: Order, options: PipelineOptions) -> list[str]:
+    """Return the names of the steps that --only and --from choose, in their order; raises InvalidInput."""
+    if options.only:
+        found = {name for text in options.only for name in _named(order, text, "--only")}
+    elif options.first is not None:
+        found = order.below(_named(order, options.first, "--from"))
+    else:
+        return list(order.steps)
+    return [name for name in order.steps if name in found]
+
+
+def _named(order: Order, text: str, option: str) -> list[str]:
+    """Return the steps of a name: of a step of the file, of one with its item, or of a pattern of such names."""
+    found = [name for name, step in order.steps.items() if text in (name, step.family)]
+    found = found or [name for name in order.steps if fnmatchcase(name.replace("[", "("), text.replace("[", "("))]
+    if not found:
+        known = dict.fromkeys([*(step.family for step in order.steps.values()), *order.steps])
+        raise InvalidInput(f"{option} {text}: the pipeline has no such step{did_you_mean(text, known)}")
+    return found
+
+
+@dataclass
+class _PipelineRun:
+    """A run of the chosen steps, and what came of those that have ended."""
+
+    order: Order
+    chosen: Sequence[str]
+    state: State
+    options: PipelineOptions
+    file: Path
+    perform: Perform
+    progress: Progress
+    told: Told
+    reports: dict[str, StepReport] = field(default_factory=dict)
+
+    def foreseen(self) -> list[StepReport]:
+        """Return for every chosen step whether it would run, and why."""
+        found: dict[str, StepReport] = {}
+        for name in self.chosen:
+            step = self.order.steps[name]
+            needed = [other for other in self.order.needs[name] if other in found and found[other].state == WOULD_RUN]
+            reason = self.reason_to_run(step) or (f"needs {needed[0]}, which would run" if needed else None)
+            found[name] = StepReport(step, UP_TO_DATE if reason is None else WOULD_RUN, reason or "")
+        return list(found.values())
+
+    def all_steps(self) -> list[StepReport]:
+        """Run the chosen steps, each after those that it needs; return them in their order."""
+        while ready := [name for name in self.chosen if name not in self.reports and not self.waits(name)]:
+            due = {name: reason for name in ready if (reason := self.begin(name)) is not None}
+            for name, result in self.results(list(due)):
+                self.end(name, due[name], result)
+                if self.stopped:
+                    break
+        return [self.reports[name] for name in self.chosen]
+
+    def waits(self, name: str) -> bool:
+        """Return whether a step needs one that has not ended."""
+        return any(other in self.chosen and other not in self.reports for other in self.order.needs[name])
+
+    @property
+    def stopped(self) -> str | None:
+        """The name of the step that ends the run with --fail-fast, None if it goes on."""
+        failed = (name for name, report in self.reports.items() if report.state == FAILED)
+        return next(failed, None) if self.options.batch.fail_fast else None
+
+    def begin(self, name: str) -> str | None:
+        """Return why a step has to run; None if it need not or cannot, which is noted."""
+        step = self.order.steps[name]
+        blocking = [self.reports[other] for other in self.order.needs[name] if other in self.reports]
+        blocking = [each for each in blocking if each.state == NOT_RUN or not each.result.continued]
+        if blocking:
+            word = "failed" if blocking[0].state == FAILED else "was not run"
+            self.note(StepReport(step, NOT_RUN, f"needs {blocking[0].name}, which {word}"))
+        elif self.stopped is not None:
+            self.note(StepReport(step, NOT_RUN, f"{self.stopped} failed (--fail-fast)"))
+        elif (reason := self.reason_to_run(step)) is not None:
+            return reason
+        else:
+            self.note(StepReport(step, UP_TO_DATE, "", self.state.records[name].result))
+        return None
+
+    def note(self, report: StepReport) -> None:
+        """Keep what came of a step, and tell it."""
+        self.reports[report.name] = report
+        self.told(report)
+
+    def reason_to_run(self, step: Step) -> str | None:
+        """Return why a step has to run, None if it is up to date."""
+        return self.state.reason_to_run(step, self.files(step), self.progress) or (
+            "--force" if self.options.force else None
+        )
+
+    def files(self, step: Step) -> list[Path]:
+        """Return the files that the options of a step stand for, without what other steps write later."""
+        above = self.order.above(step.name)
+        later = (other for name, other in self.order.steps.items() if name not in above and name != step.name)
+        return files_of(step, [self.file, self.state.path, *(path for other in later for path in other.outputs)])
+
+    def results(self, names: Sequence[str]) -> Iterator[tuple[str, StepResult]]:
+        """Yield what comes of steps that do not need one another.
+
+        If there are as many as jobs, each has a process of its own; otherwise one comes after the other, and has all.
+        """
+        count = self.options.jobs or available_cores()
+        limited = any(each.key == "timeout" for name in names for each in self.order.steps[name].given)
+        if len(names) < max(count, 2) or limited:
+            for name in names:
+                yield name, self.perform(self.job(name, self.options.jobs), self.progress)
+                if self.stopped:
+                    return
+            return
+        items = [self.job(name, 1) for name in names]
+        for outcome in fan_out(
+            self.perform,
+            items,
+            jobs=count,
+            batch=self.options.batch,
+            processes=True,
+            what="steps",
+            progress=self.progress,
+        ):
+            yield outcome.item.name, _result(outcome)
+
+    def job(self, name: str, jobs: int | None) -> StepJob:
+        """Return what it takes to run a step; items of it that are done need not be done again."""
+        step = self.order.steps[name]
+        resumed = {} if self.options.force else {"resume": True}
+        options = step.options(**resumed, **({} if jobs is None else {"jobs": jobs}))
+        return StepJob(name, step.command, options, Path.cwd(), self.file)
+
+    def end(self, name: str, reason: str, result: StepResult) -> None:
+        """Note the result of a step, and record it if it succeeded."""
+        step = self.order.steps[name]
+        if result.error is None:
+            self.state.keep(step, result, self.files(step))
+        else:
+            self.state.forget(name)
+        self.state.write()
+        self.note(StepReport(step, DONE if result.error is None else FAILED, reason, result))
+
+
+def _result(outcome: Outcome[StepJob, StepResult]) -> StepResult:
+    """Return the result of a step, which is an error if its process ended."""
+    if outcome.value is not None:
+        return outcome.value
+    assert outcome.error is not None
+    error = outcome.error
+    return StepResult(error=StepError(error.exit_code, error.kind, error.message))

@@ -1,0 +1,215 @@
+"""The state of a pipeline: what its steps were made from when they last succeeded, and why one has to run again.
+
+Contents count, never times: a step is up to date if its options, the versions of camcal and its libraries, the
+contents of all files that it read and of all that it wrote are those of the last time.
+"""
+
+import glob
+import json
+import os
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import camcal
+from camcal import files
+from camcal.errors import CamcalError, FileError, in_one_line
+from camcal.formats import documents
+from camcal.messages import Message, as_data, counted
+from camcal.progress import SILENT, Progress
+from camcal.run import fingerprint
+from camcal.run.fanout import fan_out
+from camcal.run.outputs import listed, says_camcal
+from camcal.tasks.pipelines.step import Figure, Step, StepResult
+
+FORMAT = "camcal/run-state/1"
+MISSING = ""  # in the place of the hash of a file that is not there
+
+_PACKAGE = Path(camcal.__file__).parent
+_FEW = 64  # files that are hashed without threads
+
+
+@dataclass(frozen=True)
+class StepRecord:
+    """What a step was made from when it last succeeded, and what came of it.
+
+    settings: words by option. inputs, outputs: hashes by path, relative to the folder of the pipeline.
+    """
+
+    command: str
+    settings: Mapping[str, list[str]]
+    versions: Mapping[str, str]
+    inputs: Mapping[str, str]
+    outputs: Mapping[str, str]
+    figures: Mapping[str, Figure] = field(default_factory=dict)
+    warnings: list[dict[str, Any]] = field(default_factory=list)
+    failures: list[dict[str, Any]] = field(default_factory=list)
+
+    @property
+    def result(self) -> StepResult:
+        """What came of the step."""
+        warnings, failures = (
+            tuple(Message(each["code"], each["text"], each["values"], each["where"]) for each in found)
+            for found in (self.warnings, self.failures)
+        )
+        return StepResult(self.figures, warnings, failures, outputs=tuple(map(Path, self.outputs)))
+
+
+class Hashes:
+    """The hashes of files, each made once while size and time of the file stay the same."""
+
+    def __init__(self) -> None:
+        self.known: dict[Path, tuple[tuple[int, int, int], str]] = {}
+
+    def of(self, paths: Iterable[Path], progress: Progress = SILENT) -> dict[str, str]:
+        """Return the hash of every file by its path; MISSING for one that cannot be read."""
+        stamps = {path: _stamp(path) for path in paths}
+        new = [path for path, stamp in stamps.items() if stamp and self.known.get(path, (None,))[0] != stamp]
+        work = fan_out(
+            fingerprint.of_file, new, jobs=1 if len(new) < _FEW else None, what="comparing", progress=progress
+        )
+        for outcome in work:
+            if (stamp := stamps[outcome.item]) is not None and outcome.value is not None:
+                self.known[outcome.item] = stamp, outcome.value
+        return {
+            path.as_posix(): self.known[path][1] if stamp and path in self.known else MISSING
+            for path, stamp in stamps.items()
+        }
+
+
+def _stamp(path: Path) -> tuple[int, int, int] | None:
+    try:
+        found = path.stat()
+    except OSError:
+        return None
+    return found.st_size, found.st_mtime_ns, found.st_ino
+
+
+class State:
+    """The records of all steps in a file, which is written after every change."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.hashes = Hashes()
+        self.records = _records(path) if path.exists() else {}
+
+    def keep(self, step: Step, result: StepResult, inputs: Iterable[Path]) -> None:
+        """Record a step that succeeded; inputs: files that its options stand for."""
+        outputs = {_relative(path) for path in result.outputs}
+        read = {_relative(path) for path in (*result.inputs, *inputs) if not path.is_relative_to(_PACKAGE)} - outputs
+        self.records[step.name] = StepRecord(
+            step.command,
+            step.settings,
+            fingerprint.versions(),
+            self.hashes.of(sorted(path for path in read if path.is_file())),
+            self.hashes.of(sorted(outputs)),
+            result.figures,
+            as_data(result.warnings),
+            as_data(result.failures),
+        )
+
+    def forget(self, name: str) -> None:
+        """Drop the record of a step."""
+        self.records.pop(name, None)
+
+    def write(self) -> None:
+        """Write the records, in the order of their names, on one line each."""
+        lines = [f"{json.dumps(name)}: {_text(record)}" for name, record in sorted(self.records.items())]
+        steps = ",\n".join(lines)
+        files.write_text(self.path, f'{{"format": "{FORMAT}", "steps": {{\n{steps}\n}}}}\n')
+
+    def reason_to_run(self, step: Step, inputs: Iterable[Path], progress: Progress = SILENT) -> str | None:
+        """Return why a step has to run, None if it is up to date; inputs: files that its options stand for."""
+        record = self.records.get(step.name)
+        if record is None:
+            return "has not succeeded before"
+        if record.command != step.command:
+            return f"command changed from {record.command} to {step.command}"
+        if keys := _different(record.settings, step.settings):
+            return f"{_and_more(keys)} changed"
+        if names := _different(record.versions, (versions := fingerprint.versions())):
+            before, now = (found.get(names[0], "none") for found in (record.versions, versions))
+            return f"{names[0]} {now} in the place of {before}"
+        return self._changed_file(record, inputs, progress)
+
+    def _changed_file(self, record: StepRecord, inputs: Iterable[Path], progress: Progress) -> str | None:
+        now = {_relative(path) for path in inputs} | set(map(Path, record.inputs))
+        found = self.hashes.of(sorted(now), progress)
+        paths = [path for path, content in found.items() if record.inputs.get(path, MISSING) != content]
+        if paths:
+            kind = "new" if paths[0] not in record.inputs else "gone" if found[paths[0]] == MISSING else "changed"
+            return f"{_and_more(paths, 'file')} {kind}"
+        found = self.hashes.of(map(Path, record.outputs), progress)
+        paths = [path for path, content in record.outputs.items() if found[path] != content]
+        if paths:
+            return f"{_and_more(paths, 'file')} {'missing' if found[paths[0]] == MISSING else 'changed'}"
+        return None
+
+
+def _records(path: Path) -> dict[str, StepRecord]:
+    """Return the records in a state file, none if it was damaged; raises FileError if it is of something else."""
+    try:
+        data = documents.parse_json(files.read_text(path), str(path))
+        return {name: StepRecord(**record) for name, record in data["steps"].items()}
+    except (CamcalError, AttributeError, KeyError, TypeError) as error:
+        if says_camcal(path):
+            return {}
+        raise FileError(
+            "is not the state of a pipeline; move it, or choose another --state", where=str(path)
+        ) from error
+
+
+def _text(record: StepRecord) -> str:
+    return json.dumps(asdict(record), sort_keys=True)
+
+
+def _different(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
+    return [key for key in (*now, *before) if before.get(key) != now.get(key)]
+
+
+def _and_more(names: list[str], noun: str = "") -> str:
+    first = in_one_line(names[0])
+    if len(set(names)) == 1:
+        return first
+    more = counted(len(set(names)) - 1, f"other {noun}") if noun else str(len(set(names)) - 1)
+    return f"{first} and {more}"
+
+
+def _relative(path: Path) -> Path:
+    """Return a path relative to the working directory, if it is below that."""
+    place, here = path.absolute(), Path.cwd()
+    return place.relative_to(here) if place.is_relative_to(here) else place
+
+
+def files_of(step: Step, others: Iterable[Path]) -> list[Path]:
+    """Return the files that the options of a step stand for: those that they name, and those in folders and patterns.
+
+    Left out are hidden files, outputs of the step, and outputs of other steps that come later.
+    """
+    outputs = {path.absolute() for path in (*step.outputs, *others)}
+    found = dict.fromkeys(path for given in step.inputs for path in _standing_for(given))
+    return [path for path in found if outputs.isdisjoint((place := path.absolute(), *place.parents))]
+
+
+def _standing_for(given: Path) -> Iterator[Path]:
+    try:
+        if given.is_file():
+            yield given
+        elif given.is_dir():
+            yield from _inside(given)
+        elif glob.has_magic(str(given)):
+            matches = glob.glob(str(given), recursive=True)  # noqa: PTH207 - of absolute patterns too
+            yield from (path for path in map(Path, sorted(matches)) if path.is_file())
+    except OSError:  # a text that is too long for a path
+        return
+
+
+def _inside(folder: Path) -> Iterator[Path]:
+    """Yield the files below a folder, without those that camcal wrote beside others."""
+    for place, folders, names in os.walk(folder):
+        folders[:] = sorted(name for name in folders if not name.startswith("."))
+        shown = sorted(name for name in names if not name.startswith("."))
+        written = listed(Path(place))
+        own = [name for name in shown if in_one_line(name) not in written]
+        yield from (Path(place, name) for name in own or shown)
