@@ -31,14 +31,16 @@ def run(options: PipelineOptions, call: ImageCall) -> None:
 
 
 def _tell(each: "StepReport", *, verbose: bool) -> None:
-    """Print to stderr what came of a step as soon as it has ended; on a terminal the table says it."""
-    from camcal.tasks.pipelines.run_pipeline import UP_TO_DATE
+    """Print to stderr that a step starts, and what came of it; on a terminal the table says that."""
+    from camcal.tasks.pipelines.run_pipeline import STARTED, UP_TO_DATE
     from camcal.tasks.pipelines.summary import result_words
 
     for warning in each.result.warnings if each.state != UP_TO_DATE else ():
         show.warning(replace(warning, where=": ".join(filter(None, (each.name, warning.where)))))
+    show.failed(f"{each.name}: {why}" for why in each.result.failed)
     if verbose or sys.stderr is None or not sys.stderr.isatty():
-        show.note(f"step {each.name}", ": ".join(filter(None, (each.state, result_words(each)))))
+        words = each.reason if each.state == STARTED else result_words(each)
+        show.note(f"step {each.name}", f"{each.state}: {words}" if words else each.state)
     for line in each.result.text.splitlines() if verbose else ():
         show.note(f"step {each.name}", line)
 

@@ -1,7 +1,6 @@
 """What commands print: text, tables and JSON documents to stdout; progress, warnings and errors to stderr."""
 
 import json
-import math
 import os
 import re
 import shutil
@@ -12,9 +11,10 @@ from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from dataclasses import dataclass, field
 from io import StringIO
-from pathlib import Path, PurePath
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
+from camcal.cli.plain_data import plain
 from camcal.errors import FileError, in_one_line, reason
 from camcal.files import STANDARD
 from camcal.messages import Message, as_data, counted
@@ -35,7 +35,6 @@ _LONGEST = 4000  # characters of a line on stderr
 _QUOTED = 100  # characters of a quotation that is shortened
 _QUOTATION = re.compile(r"""(['"])((?:(?!\1).){200,})\1""")
 _STEERING = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069]")
-_SIGNIFICANT_DIGITS = 12
 
 
 @dataclass
@@ -55,7 +54,7 @@ class Session:
 
 _session: ContextVar[Session | None] = ContextVar("session", default=None)
 _aside: ContextVar[bool] = ContextVar("aside", default=False)
-_kept: ContextVar[StringIO | None] = ContextVar("kept", default=None)
+_kept: ContextVar["Kept | None"] = ContextVar("kept", default=None)
 
 
 def text(line: str) -> None:
@@ -154,19 +153,29 @@ def aside() -> Iterator[None]:
         _aside.reset(token)
 
 
+@dataclass
+class Kept:
+    """What was not printed: to stdout, and to stderr as kinds and messages."""
+
+    text: StringIO = field(default_factory=StringIO)
+    messages: list[tuple[str, str]] = field(default_factory=list)
+
+
 @contextmanager
-def kept() -> Iterator[StringIO]:
-    """Yield a text that takes what the block would print, errors and warnings too."""
-    text = StringIO()
-    token = _kept.set(text)
+def kept() -> Iterator[Kept]:
+    """Yield what takes all that the block would print."""
+    found = Kept()
+    token = _kept.set(found)
     try:
-        yield text
+        yield found
     finally:
         _kept.reset(token)
 
 
 def _stream() -> TextIO | None:
-    return _kept.get() or (sys.stderr if _aside.get() else sys.stdout)
+    if (found := _kept.get()) is not None:
+        return found.text
+    return sys.stderr if _aside.get() else sys.stdout
 
 
 def width() -> int:
@@ -365,27 +374,29 @@ class _Terminal:
         if self.bar is None:
             warning(message)
             return
-        for line in _lines("warning", str(message), on_terminal=True) if _is_new(message) else ():
+        for line in _lines("warning", str(message)) if _is_new(message) else ():
             self.bar.console.print(line, markup=False, highlight=False, soft_wrap=True)
 
 
 def _complain(kind: str, message: str) -> None:
-    stream = _kept.get() or sys.stderr
-    if stream is None:
+    if (found := _kept.get()) is not None:
+        found.messages.append((kind, message))
+        return
+    if sys.stderr is None:
         return
     with suppress(OSError):  # nobody is left to hear of it
-        for line in _lines(kind, message, on_terminal=stream.isatty()):
-            print(line, file=stream)
+        for line in _lines(kind, message):
+            print(line, file=sys.stderr)  # noqa: T201
 
 
-def _lines(kind: str, message: str, *, on_terminal: bool) -> Iterator[str]:
+def _lines(kind: str, message: str) -> Iterator[str]:
     """Yield the lines of a message as they are shown: without what steers a terminal, and none without end.
 
     On a terminal they end at words.
     """
     for line in map(printable, message.split("\n")):
         said = f"camcal: {kind}: {_shortened(line)}"
-        yield from wrapped(said, width()) if on_terminal else [said]
+        yield from wrapped(said, width()) if sys.stderr.isatty() else [said]
 
 
 def _shortened(line: str) -> str:
@@ -399,16 +410,3 @@ def _shortened(line: str) -> str:
 
 def _printable_cell(cell: object) -> object:
     return printable(in_one_line(cell)) if isinstance(cell, str) else cell
-
-
-def plain(value: Any) -> Any:
-    """Return the value as JSON takes it."""
-    if hasattr(value, "tolist"):  # numpy arrays and scalars, without importing numpy
-        value = value.tolist()
-    if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [plain(item) for item in value]
-    if isinstance(value, float):
-        return float(f"{value:.{_SIGNIFICANT_DIGITS}g}") if math.isfinite(value) else None
-    return str(value) if isinstance(value, PurePath) else value

@@ -10,11 +10,12 @@ from typing import Any, get_type_hints
 from camcal import files
 from camcal.cli import show
 from camcal.cli.command import ImageCall
+from camcal.cli.plain_data import plain
 from camcal.errors import EXIT_BUG, ItemsFailed, translated
 from camcal.messages import Message
 from camcal.options import declared
 from camcal.progress import SILENT, Progress
-from camcal.tasks.pipelines.step import StepError, StepJob, StepResult, figures_of
+from camcal.tasks.pipelines.step import StepError, StepJob, StepResult, below_here, figures_of
 
 NOT_STEPS = ("run", "demo", "doctor")  # pipelines do not call each other, and nothing depends on the others
 
@@ -71,7 +72,7 @@ class StepCall(ImageCall):
         failures: Sequence[Message] = (),
     ) -> None:
         """Keep a result."""
-        self.given.document = show.plain(document())
+        self.given.document = plain(document())
         self.given.failures = tuple(failures)
         words()
 
@@ -104,7 +105,7 @@ def perform(job: StepJob, progress: Progress = SILENT) -> StepResult:
     reporter = _StepProgress(job.name, progress)
     call = StepCall(job.command, reporter=reporter)
     error = None
-    with chdir(job.folder), show.kept() as text, files.unwatched(), watching(read=[job.pipeline]) as run:
+    with chdir(job.folder), show.kept() as kept, files.unwatched(), watching(read=[job.pipeline]) as run:
         try:
             run.add({each: each.of(job.options) for each in declared(type(job.options))})
             StepCommands().function(job.command)(job.options, call)
@@ -117,9 +118,10 @@ def perform(job: StepJob, progress: Progress = SILENT) -> StepResult:
         figures_of(call.given.document),
         tuple(reporter.warnings),
         tuple(dict.fromkeys(call.given.failures)),
-        text.getvalue(),
-        tuple(sorted(inputs)),
-        tuple(sorted(outputs)),
+        tuple(message for kind, message in kept.messages if kind == "failed"),
+        kept.text.getvalue(),
+        tuple(sorted(map(below_here, inputs))),
+        tuple(sorted(map(below_here, outputs))),
         error,
     )
 

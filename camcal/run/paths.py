@@ -75,6 +75,24 @@ def find_images(
     return list(media.images)
 
 
+def find_files(inputs: Sequence[str]) -> list[Path]:
+    """Return the files that names and quoted patterns stand for, those of a pattern in natural order.
+
+    Raises FileError for a file that is not there and for a pattern that matches none.
+    """
+    found: list[Path] = []
+    for text in inputs:
+        if glob.has_magic(text) and not Path(text).exists():
+            matches = map(Path, glob.glob(text, recursive=True))  # noqa: PTH207 - as in `_matching`
+            found += sorted((path for path in matches if path.is_file()), key=_natural_path)
+            if not found:
+                raise FileError("matches no file", where=text)
+        else:
+            require_there(Path(text))
+            found.append(Path(text))
+    return found
+
+
 def require_there(path: Path) -> None:
     """Raise FileError, with the nearest name beside it, unless a file or folder is there."""
     if str(path) != files.STANDARD and not path.exists():

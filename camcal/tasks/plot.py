@@ -11,7 +11,7 @@ from camcal.parsing import did_you_mean
 from camcal.progress import SILENT, Progress
 from camcal.report.figures.figure import THEMES, Plot, encoded, of_part
 from camcal.run.outputs import writes
-from camcal.run.paths import require_there
+from camcal.run.paths import find_files
 from camcal.tasks.figure_files import write_figures
 from camcal.tasks.options import FIGURES, FigureOptions, PlotOptions
 from camcal.tasks.plot_kinds import Drawable, drawable
@@ -32,10 +32,7 @@ def plot(options: PlotOptions, progress: Progress = SILENT) -> PlotReport:
     Raises FileError for a file that is not there or of no kind that can be drawn, InvalidInput for a figure that there
     is none of, or where one file is named for several; nothing is written then.
     """
-    paths = [Path(name) for name in options.inputs]
-    for path in paths:
-        require_there(path)
-    found = tuple(drawable(path, options.reference, progress) for path in paths)
+    found = tuple(drawable(path, options.reference, progress) for path in find_files(options.inputs))
     plots = _chosen(_named(found), options.figures)
     output = options.output
     if output is None:

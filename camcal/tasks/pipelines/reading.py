@@ -44,13 +44,13 @@ class Pipeline:
         return Fault(child("steps", step.family), text)
 
 
-def read_pipeline(path: Path, where: str, given: Mapping[str, str], commands: Commands) -> Pipeline:
-    """Return the pipeline in a file; paths in it are relative to the working directory.
+def read_pipeline(text: str, where: str, given: Mapping[str, str], commands: Commands) -> Pipeline:
+    """Return the pipeline in the text of a file; paths in it are relative to the working directory.
 
     where: the file's name for messages. given: values for its variables. commands: options records by their commands.
     Raises FileError if it is no YAML mapping, InvalidInput with one line for everything that is wrong.
     """
-    document = documents.parse(files.read_text(path), where)
+    document = documents.parse(text, where)
     reader = _Reader(document, commands)
     reader.read_values(given)
     reader.read_lists()

@@ -7,13 +7,12 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Protocol
 
+from camcal import files
 from camcal.errors import EXIT_PRECEDENCE, InvalidInput
-from camcal.files import unwatched
 from camcal.parsing import did_you_mean
 from camcal.progress import SILENT, Outcome, Progress
 from camcal.run.fanout import fan_out
 from camcal.run.outputs import watching
-from camcal.run.paths import require_there
 from camcal.run.process import available_cores
 from camcal.tasks.pipelines.options import PipelineOptions
 from camcal.tasks.pipelines.order import Order, missing_inputs, ordered
@@ -21,7 +20,8 @@ from camcal.tasks.pipelines.reading import Commands, read_pipeline
 from camcal.tasks.pipelines.state import State, files_of
 from camcal.tasks.pipelines.step import Step, StepError, StepJob, StepResult
 
-DONE, UP_TO_DATE, FAILED, NOT_RUN, WOULD_RUN = "done", "up to date", "failed", "not run", "would run"
+DONE, UP_TO_DATE, FAILED, NOT_RUN = "done", "up to date", "failed", "not run"
+WOULD_RUN, STARTED = "would run", "started"
 
 
 class Perform(Protocol):
@@ -74,15 +74,16 @@ def run_pipeline(
     """Return what came of the steps of a pipeline, after running those that are not up to date.
 
     commands: the options records of commands that may be steps. perform: runs a step, in this process or in a worker.
-    told: is called with every step when it has ended. The working directory is the folder of the pipeline meanwhile.
+    told: is called with every step when it starts and when it has ended. Meanwhile the working directory is the folder
+    of the pipeline.
     Raises InvalidInput or FileError for a pipeline that is wrong, before any step runs; what a step raises is in its
     result.
     """
     where, file, state_file = str(options.pipeline), options.pipeline.absolute(), options.state_file.absolute()
-    require_there(options.pipeline)
+    text = files.read_text(options.pipeline)
     with watching() as ledger, chdir(file.parent):
-        with unwatched():
-            pipeline = read_pipeline(file, where, dict(text.split("=", 1) for text in options.variables), commands)
+        with files.unwatched():
+            pipeline = read_pipeline(text, where, dict(each.split("=", 1) for each in options.variables), commands)
             order = ordered(pipeline)
             chosen = _chosen(order, options)
             if found := dict.fromkeys(missing_inputs(pipeline, order, chosen)):
@@ -144,6 +145,8 @@ class _PipelineRun:
         """Run the chosen steps, each after those that it needs; return them in their order."""
         while ready := [name for name in self.chosen if name not in self.reports and not self.waits(name)]:
             due = {name: reason for name in ready if (reason := self.begin(name)) is not None}
+            for name, reason in due.items():
+                self.told(StepReport(self.order.steps[name], STARTED, reason))
             for name, result in self.results(list(due)):
                 self.end(name, due[name], result)
                 if self.stopped:

@@ -21,7 +21,7 @@ from camcal.progress import SILENT, Progress
 from camcal.run import fingerprint
 from camcal.run.fanout import fan_out
 from camcal.run.outputs import listed, says_camcal
-from camcal.tasks.pipelines.step import Figure, Step, StepResult
+from camcal.tasks.pipelines.step import Figure, Step, StepResult, below_here
 
 FORMAT = "camcal/run-state/1"
 MISSING = ""  # in the place of the hash of a file that is not there
@@ -96,8 +96,8 @@ class State:
 
     def keep(self, step: Step, result: StepResult, inputs: Iterable[Path]) -> None:
         """Record a step that succeeded; inputs: files that its options stand for."""
-        outputs = {_relative(path) for path in result.outputs}
-        read = {_relative(path) for path in (*result.inputs, *inputs) if not path.is_relative_to(_PACKAGE)} - outputs
+        outputs = {below_here(path) for path in result.outputs}
+        read = {below_here(path) for path in (*result.inputs, *inputs) if not path.is_relative_to(_PACKAGE)} - outputs
         self.records[step.name] = StepRecord(
             step.command,
             step.settings,
@@ -134,7 +134,7 @@ class State:
         return self._changed_file(record, inputs, progress)
 
     def _changed_file(self, record: StepRecord, inputs: Iterable[Path], progress: Progress) -> str | None:
-        now = {_relative(path) for path in inputs} | set(map(Path, record.inputs))
+        now = {below_here(path) for path in inputs} | set(map(Path, record.inputs))
         found = self.hashes.of(sorted(now), progress)
         paths = [path for path, content in found.items() if record.inputs.get(path, MISSING) != content]
         if paths:
@@ -174,12 +174,6 @@ def _and_more(names: list[str], noun: str = "") -> str:
         return first
     more = counted(len(set(names)) - 1, f"other {noun}") if noun else str(len(set(names)) - 1)
     return f"{first} and {more}"
-
-
-def _relative(path: Path) -> Path:
-    """Return a path relative to the working directory, if it is below that."""
-    place, here = path.absolute(), Path.cwd()
-    return place.relative_to(here) if place.is_relative_to(here) else place
 
 
 def files_of(step: Step, others: Iterable[Path]) -> list[Path]:

@@ -99,12 +99,14 @@ class StepResult:
     """What came of a step.
 
     figures: single values of the command's document, by their key paths. failures: why its result is not to be
-    trusted. text: what the command prints. inputs, outputs: the files that it read and wrote.
+    trusted. failed: why items failed, a line each. text: what the command prints. inputs, outputs: the files that it
+    read and wrote.
     """
 
     figures: Mapping[str, Figure] = field(default_factory=dict)
     warnings: tuple[Message, ...] = ()
     failures: tuple[Message, ...] = ()
+    failed: tuple[str, ...] = ()
     text: str = ""
     inputs: tuple[Path, ...] = ()
     outputs: tuple[Path, ...] = ()
@@ -130,6 +132,12 @@ def figures_of(document: Mapping[str, Any]) -> dict[str, Figure]:
         elif isinstance(value, str | int | float):
             found[key] = value
     return found
+
+
+def below_here(path: Path) -> Path:
+    """Return a path relative to the working directory, if it is below that, else as an absolute one."""
+    place, here = path.absolute(), Path.cwd()
+    return place.relative_to(here) if place.is_relative_to(here) else place
 
 
 def families(steps: Sequence[Step]) -> dict[str, list[Step]]:

@@ -131,6 +131,7 @@ def _plain(each: StepReport) -> dict[str, Any]:
         "reason": each.reason,
         "exit": result.code,
         "error": found,
+        "failed": list(result.failed),
         "failures": messages.as_data(result.failures),
         "warnings": messages.as_data(result.warnings),
         "outputs": [path.as_posix() for path in result.outputs],
