@@ -28,7 +28,7 @@ KEYS = ("variables", "environment", "lists", "steps")
 STEP_KEYS = ("command", "arguments", "config", "foreach", "after")  # no option of a command is called so
 
 _NAME = re.compile(r"[A-Za-z_][\w-]*\Z", re.ASCII)
-_PLACEHOLDER = re.compile(r"\{\{|\}\}|\{([^{}]*)\}")
+_PLACEHOLDER = re.compile(r"\$(\$?)\(([^()]*)\)")  # $(name), which YAML takes without quotes everywhere
 _NAMED = re.compile(r"Invalid value for '[^']*': ")
 
 
@@ -150,9 +150,9 @@ class _Reader:
         known = self.values if item is None else self.values | dict([item])
 
         def value_of(match: re.Match[str]) -> str:
-            name = match[1]
-            if name is None:
-                return match[0][0]
+            doubled, name = match.groups()
+            if doubled:
+                return f"$({name})"
             if name not in known:
                 self.note(path, self._unknown(name, known))
             return known.get(name, "")
@@ -161,10 +161,10 @@ class _Reader:
 
     def _unknown(self, name: str, known: Mapping[str, str]) -> str:
         if name in self.lists:
-            return f"{{{name}}} is a list: add 'foreach: {name}' to the step"
+            return f"$({name}) is a list: add 'foreach: {name}' to the step"
         if not _NAME.match(name):
-            return f"{{{name}}} is no variable; write {{{{ and }}}} for braces"
-        return f"{{{name}}}: no such variable{did_you_mean(name, known)}"
+            return f"$({name}) is no variable; write $$({name}) for the text itself"
+        return f"$({name}): no such variable{did_you_mean(name, known)}"
 
     def read_steps(self) -> list[Step]:
         """Return the steps, one for each item of those with a list."""

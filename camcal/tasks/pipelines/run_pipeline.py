@@ -137,7 +137,7 @@ class _PipelineRun:
         for name in self.chosen:
             step = self.order.steps[name]
             needed = [other for other in self.order.needs[name] if other in found and found[other].state == WOULD_RUN]
-            reason = self.reason_to_run(step) or (f"needs {needed[0]}, which would run" if needed else None)
+            reason = f"needs {needed[0]}, which would run" if needed else self.reason_to_run(step)
             found[name] = StepReport(step, UP_TO_DATE if reason is None else WOULD_RUN, reason or "")
         return list(found.values())
 
