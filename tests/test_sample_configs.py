@@ -6,7 +6,7 @@ import pytest
 from command_page import REGISTERED
 
 from camcal.cli.main import app
-from camcal.formats import boards, native, tags
+from camcal.formats import boards, documents, native, tags
 
 FOLDER = Path(__file__).parents[1] / "sample_configs"
 FILES = sorted(path.relative_to(FOLDER).as_posix() for path in FOLDER.rglob("*") if path.is_file())
@@ -37,7 +37,18 @@ def load_settings(path: Path) -> None:
     assert ended.value.code == 0
 
 
-LOADERS = {"boards": load_board, "cameras": load_camera, "tags": load_tags, ".": load_settings}
+def load_pipeline(path: Path) -> None:
+    """Its inputs are not there: `test_sample_pipelines` runs it with some."""
+    assert {"variables", "steps"} <= set(documents.load(path))
+
+
+LOADERS = {
+    "pipelines": load_pipeline,
+    "boards": load_board,
+    "cameras": load_camera,
+    "tags": load_tags,
+    ".": load_settings,
+}
 
 
 @pytest.mark.parametrize("name", FILES)

@@ -294,6 +294,14 @@ _CALLS = {  # a comment with the purpose above each call, as in a shell
         # The focal length that shows 0.5 m at 1.2 m
         optics --solve f --width 0.5 --focus 1.2 --sensor 1/1.8
     """,
+    "run": """
+        # What would run, and why
+        run pipeline.yaml --dry-run
+        # The steps that are not up to date
+        run pipeline.yaml
+        # The same for another folder, with one JSON document for a CI job
+        run pipeline.yaml --set photos=monday/photos --json
+    """,
     "doctor": """
         # Whether all packages are there and work together
         doctor

@@ -9,7 +9,7 @@ _SIGNIFICANT_DIGITS = 12
 
 
 def plain(value: Any) -> Any:
-    """Return a value as JSON takes it: numbers with 12 significant digits, NaN as null, arrays as lists, paths as text."""
+    """Return a value as JSON takes it: 12 significant digits, null for NaN, lists for arrays, texts for paths."""
     if hasattr(value, "tolist"):  # numpy arrays and scalars, without importing numpy
         value = value.tolist()
     if isinstance(value, Mapping):

@@ -49,6 +49,8 @@ RUNS = {
     "undistort": "undistort pair.yaml#left tags/a -o straight --mask -j 1",
     "undistort --points": "undistort pair.yaml#left --points points.csv -o straight.csv",
     "inspect": "inspect rig.yaml",
+    "run": "run pipeline.yaml -j 1",
+    "run --dry-run": "run pipeline.yaml -j 1 --dry-run",
     "inspect a raw frame": "inspect mosaic.png --pattern RGGB",
     "inspect a dump": "inspect dump.raw",
     "demosaic": "demosaic mosaics --pattern RGGB -o developed --trust-pattern -j 1",
@@ -153,6 +155,8 @@ def _tables(folder, rng):
         "path.tum": "# frames: w_T_c\n" + "".join(f"{k / 10} {k / 100 + noise[k, 0]} 0 1 0 0 0 1\n" for k in range(60)),
         "frames.yaml": "transforms:\n  a_T_b: {t: [0.1, 0.2, 1.0e-7], rotation_vector_deg: [10, 0, 20], "
         "std: [1.0e-5, 1.0e-4, 3.0e-9, 1, 1, 2]}\n  b_T_c: {rotation_vector_deg: [0, 9, 0], t: [0, 0, 12345.5]}\n",
+        "pipeline.yaml": "steps:\n  copy: {command: convert, arguments: [pair.yaml, out/copied.xml]}\n"
+        f"  {'a-long-name-' * 6}: {{command: transform check, arguments: {LONG}.txt}}\n",
         "pose.txt": "0.8 -0.6 0 0.123456789012\n0.6 0.8 0 1e-9\n0 0 1 123456.789\n0 0 0 1\n",
         f"{LONG}.txt": "0.8 -0.6 0 0.13\n0.6 0.8 0 0.001\n0 0 1 123456.8\n0 0 0 1\n",
     }

@@ -96,7 +96,11 @@ def changed_output(folder):
     [
         (changed_input, {"first": "done", "second": "done"}, "camera.yaml changed"),
         (changed_output, {"first": "up_to_date", "second": "done"}, "second.yaml changed"),
-        (lambda folder: (folder / "first.xml").unlink(), {"first": "done", "second": "up_to_date"}, "first.xml missing"),
+        (
+            lambda folder: (folder / "first.xml").unlink(),
+            {"first": "done", "second": "up_to_date"},
+            "first.xml missing",
+        ),
         (lambda folder: os.utime(folder / "camera.yaml"), {"first": "up_to_date", "second": "up_to_date"}, ""),
         (
             lambda folder: (folder / "pipeline.yaml").write_text(CHAIN + "    max-error: 2\n"),
@@ -177,16 +181,16 @@ steps:
     command: convert
     arguments: [camera.yaml, copy.xml]
     after: gate
-  missing:
-    command: pnp
-    arguments: [camera.yaml, places.csv]
+  broken:
+    command: convert
+    arguments: [broken.yaml, broken.xml]
 """
 
 
 def test_the_exit_code_is_that_of_the_worst_step(states, folder):
-    (folder / "places.csv").write_text("u,v,x,y\n1,2,3,4\n")
+    (folder / "broken.yaml").write_text("cameras: {}\n")
     code, found = states(text=GATES)
-    assert (code, found["gate"], found["after"], found["missing"]) == (2, "failed", "not_run", "failed")
+    assert (code, found["gate"], found["after"], found["broken"]) == (2, "failed", "not_run", "failed")
     code, found = states("--only", "gate", "--only", "after")
     assert (code, found) == (7, {"gate": "failed", "after": "not_run"})
 
@@ -272,19 +276,25 @@ steps:
             CHAIN.replace("first.xml]", "second.yaml]"),
             "5: steps.first: OUT…: second.yaml is written by step second too; give each a place of its own",
         ),
-        (CHAIN.replace("camera.yaml", "camra.yaml"), "7: steps.first.arguments: camra.yaml: no such file. Did you mean 'camera.yaml'?"),
+        (
+            CHAIN.replace("camera.yaml", "camra.yaml"),
+            "7: steps.first.arguments: camra.yaml: no such file. Did you mean 'camera.yaml'?",
+        ),
         (CHAIN.replace("first.xml]", "-]"), "5: steps.first: OUT… -: a step writes to files"),
-        (CHAIN.replace("first.xml]", "first.gif]"), "5: steps.first: first.gif: .gif is not written; use .yaml, .yml, .xml, .json"),
+        (
+            CHAIN.replace("first.xml]", "first.gif]"),
+            "5: steps.first: first.gif: .gif is not written; use .yaml, .yml, .xml, .json",
+        ),
         ("steps: {}\n", "1: steps: no steps; each is NAME: with its command and options"),
         ("steps: [a]\n", "1: steps: is a mapping, NAME: …, one for each line"),
-        ("variables: {a: 1}\n" + CHAIN.replace("camera.yaml", "$(b c)"), "8: steps.first.arguments: $(b c) is no variable; write $$(b c) for the text itself"),
         (
-            CHAIN.replace("camera.yaml", "{b: 1}"),
-            "7: steps.first.arguments: is a text or a list of texts",
+            "variables: {a: 1}\n" + CHAIN.replace("camera.yaml", "$(b c)"),
+            "8: steps.first.arguments: $(b c) is no variable; write $$(b c) for the text itself",
         ),
+        (CHAIN.replace("camera.yaml", "{b: 1}"), "7: steps.first.arguments: is a text or a list of texts"),
         ("environment: [CAMCAL_NONE]\n" + CHAIN, "1: environment[0]: the environment has no variable CAMCAL_NONE"),
     ],
-)  # fmt: skip
+)
 def test_a_pipeline_that_cannot_run_is_refused(run, folder, text, message):
     assert refused(run, folder, text)[0] == message
 
@@ -307,7 +317,9 @@ def test_values_come_from_variables_the_command_line_and_the_environment_if_aske
     assert {path.name for path in folder.glob("$*")} == {"$(a)_copy.xml", "$(a)_copy.json"}
     unasked = text.replace("environment: CAMCAL_TEST_NAME\n", "")
     assert "$(CAMCAL_TEST_NAME): no such variable" in states(text=unasked)[1]
-    assert "--set kid: the pipeline has no such variable. Did you mean 'kind'?" in states("--set", "kid=1", text=text)[1]
+    assert (
+        "--set kid: the pipeline has no such variable. Did you mean 'kind'?" in states("--set", "kid=1", text=text)[1]
+    )
 
 
 def test_a_list_holds_what_the_star_of_a_pattern_stands_for_in_natural_order(states, folder):
@@ -334,14 +346,12 @@ steps:
 
 
 def test_a_step_takes_options_from_a_settings_file_and_its_own_come_first(states, folder):
-    (folder / "fit.yaml").write_text("model: a*x\nstart: a=1\nplot: fit.png\n")
-    (folder / "data.csv").write_text("x,y\n" + "".join(f"{x},{2 * x}\n" for x in range(9)))
-    text = "steps: {fit: {command: fit, arguments: data.csv, config: fit.yaml, plot: other.png, output: fit.json}}\n"
-    assert states(text=text) == (0, {"fit": "done"})
-    assert (folder / "other.png").exists()
-    assert not (folder / "fit.png").exists()
-    (folder / "fit.yaml").write_text("model: a*x\nstart: a=1\nplt: fit.png\n")
-    assert "fit.yaml:3: plt: unknown key. Did you mean 'plot'?" in states()[1]
+    (folder / "convert.yaml").write_text("to: opencv\nmax-error: 1\n")
+    text = "steps: {copy: {command: convert, arguments: [camera.yaml, copy.yml], config: convert.yaml, to: ros}}\n"
+    assert states(text=text) == (0, {"copy": "done"})
+    assert "camera_matrix" in (folder / "copy.yml").read_text()
+    (folder / "convert.yaml").write_text("to: opencv\nmax-eror: 1\n")
+    assert "convert.yaml:2: max-eror: unknown key. Did you mean 'max-error'?" in states()[1]
 
 
 def test_a_folder_that_one_step_reads_and_another_writes_into_needs_an_order(run, folder):
@@ -392,7 +402,9 @@ def test_what_a_run_says_while_it_works(run, folder):
 
 def test_no_option_is_called_as_a_key_of_a_step_and_every_command_but_three_may_be_one():
     commands = StepCommands()
-    names = {each.key.replace("-", "_") for record in commands.values() for each in declared(record) if not each.positional}
+    names = {
+        each.key.replace("-", "_") for record in commands.values() for each in declared(record) if not each.positional
+    }
     assert names.isdisjoint(STEP_KEYS)
     assert set(REGISTERED) - set(commands) == {"run", "demo", "doctor"}
     assert set(KEYS) == {"variables", "environment", "lists", "steps"}

@@ -7,7 +7,7 @@ from typing import Annotated
 from camcal.errors import InvalidInput
 from camcal.options import INPUT, OUTPUT, Argument, Option, OptionsRecord, Without, Written
 from camcal.run.options import BatchOptions
-from camcal.tasks.options import Jobs
+from camcal.tasks.options import Jobs, Overwrite
 
 STEPS = "Steps"
 
@@ -52,6 +52,7 @@ class PipelineOptions(OptionsRecord):
             written=Written((".json",)),
         ),
     ] = None
+    overwrite: Overwrite = False
     jobs: Jobs = None
     batch: Annotated[BatchOptions, Without(("timeout", "resume", "scheduler"))] = field(default_factory=BatchOptions)
 

@@ -224,8 +224,8 @@ class _PipelineRun:
     def job(self, name: str, jobs: int | None) -> StepJob:
         """Return what it takes to run a step; items of it that are done need not be done again."""
         step = self.order.steps[name]
-        resumed = {} if self.options.force else {"resume": True}
-        options = step.options(**resumed, **({} if jobs is None else {"jobs": jobs}))
+        how = {"jobs": jobs, "resume": not self.options.force or None, "overwrite": self.options.overwrite or None}
+        options = step.options(**{key: value for key, value in how.items() if value is not None})
         return StepJob(name, step.command, options, Path.cwd(), self.file)
 
     def end(self, name: str, reason: str, result: StepResult) -> None:

@@ -6,7 +6,6 @@ contents of all files that it read and of all that it wrote are those of the las
 
 import glob
 import json
-import os
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -201,9 +200,10 @@ def _standing_for(given: Path) -> Iterator[Path]:
 
 def _inside(folder: Path) -> Iterator[Path]:
     """Yield the files below a folder, without those that camcal wrote beside others."""
-    for place, folders, names in os.walk(folder):
-        folders[:] = sorted(name for name in folders if not name.startswith("."))
-        shown = sorted(name for name in names if not name.startswith("."))
-        written = listed(Path(place))
-        own = [name for name in shown if in_one_line(name) not in written]
-        yield from (Path(place, name) for name in own or shown)
+    shown = sorted(path for path in folder.iterdir() if not path.name.startswith("."))
+    written = listed(folder)
+    found = [path for path in shown if path.is_file()]
+    yield from [path for path in found if in_one_line(path.name) not in written] or found
+    for path in shown:
+        if path.is_dir() and not path.is_symlink():
+            yield from _inside(path)

@@ -8,7 +8,7 @@ from typing import Any
 
 from camcal.messages import Message
 from camcal.options import Declared, assembled, declared
-from camcal.run.outputs import inputs_of, outputs_of
+from camcal.run.option_paths import inputs_of, outputs_of
 
 Figure = str | float | bool
 
