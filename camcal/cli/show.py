@@ -10,10 +10,10 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from dataclasses import dataclass, field
-from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
+from camcal.cli.kept_output import KEPT
 from camcal.cli.plain_data import plain
 from camcal.errors import FileError, in_one_line, reason
 from camcal.files import STANDARD
@@ -54,7 +54,6 @@ class Session:
 
 _session: ContextVar[Session | None] = ContextVar("session", default=None)
 _aside: ContextVar[bool] = ContextVar("aside", default=False)
-_kept: ContextVar["Kept | None"] = ContextVar("kept", default=None)
 
 
 def text(line: str) -> None:
@@ -153,27 +152,8 @@ def aside() -> Iterator[None]:
         _aside.reset(token)
 
 
-@dataclass
-class Kept:
-    """What was not printed: to stdout, and to stderr as kinds and messages."""
-
-    text: StringIO = field(default_factory=StringIO)
-    messages: list[tuple[str, str]] = field(default_factory=list)
-
-
-@contextmanager
-def kept() -> Iterator[Kept]:
-    """Yield what takes all that the block would print."""
-    found = Kept()
-    token = _kept.set(found)
-    try:
-        yield found
-    finally:
-        _kept.reset(token)
-
-
 def _stream() -> TextIO | None:
-    if (found := _kept.get()) is not None:
+    if (found := KEPT.get()) is not None:
         return found.text
     return sys.stderr if _aside.get() else sys.stdout
 
@@ -379,7 +359,7 @@ class _Terminal:
 
 
 def _complain(kind: str, message: str) -> None:
-    if (found := _kept.get()) is not None:
+    if (found := KEPT.get()) is not None:
         found.messages.append((kind, message))
         return
     if sys.stderr is None:

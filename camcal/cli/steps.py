@@ -8,8 +8,8 @@ from importlib import import_module
 from typing import Any, get_type_hints
 
 from camcal import files
-from camcal.cli import show
 from camcal.cli.command import ImageCall
+from camcal.cli.kept_output import kept
 from camcal.cli.plain_data import plain
 from camcal.errors import EXIT_BUG, ItemsFailed, translated
 from camcal.messages import Message
@@ -105,7 +105,7 @@ def perform(job: StepJob, progress: Progress = SILENT) -> StepResult:
     reporter = _StepProgress(job.name, progress)
     call = StepCall(job.command, reporter=reporter)
     error = None
-    with chdir(job.folder), show.kept() as kept, files.unwatched(), watching(read=[job.pipeline]) as run:
+    with chdir(job.folder), kept() as printed, files.unwatched(), watching(read=[job.pipeline]) as run:
         try:
             run.add({each: each.of(job.options) for each in declared(type(job.options))})
             StepCommands().function(job.command)(job.options, call)
@@ -118,8 +118,8 @@ def perform(job: StepJob, progress: Progress = SILENT) -> StepResult:
         figures_of(call.given.document),
         tuple(reporter.warnings),
         tuple(dict.fromkeys(call.given.failures)),
-        tuple(message for kind, message in kept.messages if kind == "failed"),
-        kept.text.getvalue(),
+        tuple(message for kind, message in printed.messages if kind == "failed"),
+        printed.text.getvalue(),
         tuple(sorted(map(below_here, inputs))),
         tuple(sorted(map(below_here, outputs))),
         error,
