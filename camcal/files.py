@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import BinaryIO, Protocol, TextIO
 from weakref import WeakKeyDictionary
 
-from camcal import system
+from camcal import system, urls
 from camcal.errors import FileError, reason
 
 STANDARD = "-"  # as a path: standard input or output
@@ -33,7 +33,7 @@ _STARTS = (
     (".xml", re.compile(rb"\s*<[?\w]")),
 )
 _UNMISTAKABLE = (".json", ".xml")  # kinds that always begin so
-_TEMPORARY = ".camcal.part-"  # how names of unfinished files begin
+TEMPORARY = ".camcal.part-"  # how names of unfinished files begin
 _LONGEST_SUFFIX = 16
 _FULL = 1 << 16  # bytes free on a disk that counts as full
 
@@ -90,17 +90,15 @@ def replacing(path: Path) -> Iterator[Path]:
         with _sent(path) as temporary:
             yield temporary
         return
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        _sweep(path.parent.absolute())
-        handle, name = _reserved(path)
-    except OSError as error:
-        raise _unwritable(path, error) from error
-    temporary = Path(name)
+    remote = urls.holder(path)
+    handle, temporary = (None, remote.new_file(path)) if remote is not None else _beside(path)
     try:
         yield temporary
         if ledger is None or ledger.completes(path, temporary):
-            _put(temporary, path)
+            if remote is None:
+                _put(temporary, path)
+            else:
+                remote.send(temporary, path)
         if ledger is not None:
             ledger.wrote(path.stat())
     except OSError as error:
@@ -109,6 +107,17 @@ def replacing(path: Path) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
         if handle is not None:
             os.close(handle)
+
+
+def _beside(path: Path) -> tuple[int | None, Path]:
+    """Return a new temporary file beside `path`, in a folder that is made for it; see `_reserved`."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        _sweep(path.parent.absolute())
+        handle, name = _reserved(path)
+    except OSError as error:
+        raise _unwritable(path, error) from error
+    return handle, Path(name)
 
 
 def _put(temporary: Path, path: Path) -> None:
@@ -134,7 +143,7 @@ def is_stream(path: Path) -> bool:
 @contextmanager
 def _sent(path: Path) -> Iterator[Path]:
     """Yield a temporary path, whose content goes to a stream when the block succeeds; a closed pipe ends the run."""
-    with tempfile.TemporaryDirectory(prefix=_TEMPORARY) as folder:
+    with tempfile.TemporaryDirectory(prefix=TEMPORARY) as folder:
         temporary = Path(folder) / f"output{path.suffix}"
         yield temporary
         try:
@@ -159,7 +168,7 @@ def _reserved(path: Path) -> tuple[int | None, str]:
     """
     suffix = path.suffix if len(path.suffix) <= _LONGEST_SUFFIX else ""
     while True:
-        handle, name = tempfile.mkstemp(prefix=_TEMPORARY, suffix=suffix, dir=path.parent)
+        handle, name = tempfile.mkstemp(prefix=TEMPORARY, suffix=suffix, dir=path.parent)
         if not system.HAS_LOCKS:
             os.close(handle)
             return None, name
@@ -178,7 +187,7 @@ def _reserved(path: Path) -> tuple[int | None, str]:
 @cache
 def _sweep(folder: Path) -> None:
     """Remove what runs that were killed left in a folder, once in a process: temporary files that are not locked."""
-    for path in folder.glob(f"{_TEMPORARY}*") if system.HAS_LOCKS else ():
+    for path in folder.glob(f"{TEMPORARY}*") if system.HAS_LOCKS else ():
         with suppress(OSError):  # another run writes it, or the file system has no locks, or it is gone
             handle = system.open_to_read(path, follow=False)
             try:
@@ -205,7 +214,7 @@ def write_bytes(path: Path, content: bytes) -> None:
 
 def write_text(path: Path, content: str) -> None:
     """Write `content` as UTF-8 with Unix line ends to `path` in one step; see `replacing`."""
-    write_bytes(path, content.encode("utf-8"))
+    write_bytes(path, urls.named(content).encode("utf-8"))
 
 
 def read_text(path: Path, limit: int = 64 << 20) -> str:
@@ -252,11 +261,12 @@ def opened(path: Path) -> Iterator[BinaryIO]:
             yield stream
         return
     try:
-        handle = system.open_to_read(path)
+        content = urls.local(path)
+        handle = system.open_to_read(content)
         with os.fdopen(handle, "rb") as stream:
             _require_readable(stream, path)
             if (ledger := LEDGER.get()) is not None:
-                ledger.reads(path, os.fstat(handle))
+                ledger.reads(path, os.fstat(handle) if content is path else path.stat())
             yield stream
     except FileNotFoundError as error:
         raise FileError("no such file", where=str(path)) from error

@@ -198,6 +198,7 @@ CODES: Mapping[str, Mapping[str, str]] = {
     },
     "Batches": {
         "stopped_at_failure": "items that were not begun after another one failed (--fail-fast)",
+        "no_workers": "a Dask scheduler has no workers; the items wait for them",
     },
     "Installation": {
         "unusable_package": "a required package is missing or of another version",

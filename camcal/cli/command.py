@@ -24,6 +24,7 @@ from camcal.images import limits
 from camcal.messages import Message
 from camcal.options import GENERAL, Argument, Declared, Option, assembled, by_group, declared
 from camcal.progress import Progress
+from camcal.run.options import located
 
 SETTINGS = "camcal.settings"  # where a context keeps the line of the settings file that each value came from
 WRITE_SETTINGS = "--write-config"
@@ -232,7 +233,7 @@ class _Maker:
         """Return the values of the options that were given; raises InvalidInput, saying where a wrong one stands."""
         values = {}
         for each in self.every:
-            text = given[parameter_name(each)]
+            text = located(each, given[parameter_name(each)])
             if text is None or (each.several and not text):
                 continue
             try:
@@ -301,9 +302,8 @@ def _parameter(each: Declared) -> inspect.Parameter:
     elif each.option.values > 1:
         kind = tuple.__class_getitem__((str,) * each.option.values)
     help_ = each.option.help if isinstance(each.option.help, str) else value_name(each)  # typer shows it in completions
-    metavar = each.option.metavar or None
     if each.positional:
-        info: Any = typer.Argument(metavar=metavar, help=help_)
+        info: Any = typer.Argument(metavar=each.option.metavar or None, help=help_)
     else:
         names = [f"{each.name}/{each.opposite}" if each.opposite else each.name, *each.spellings[1:]]
         info = typer.Option(*names, metavar=None if each.flag else value_name(each), help=help_)

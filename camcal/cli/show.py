@@ -20,6 +20,7 @@ from camcal.files import STANDARD
 from camcal.messages import Message, as_data, counted
 from camcal.progress import Item, Outcome, Progress, Silent
 from camcal.report.table import Column, table_lines, wrapped
+from camcal.urls import named
 
 if TYPE_CHECKING:
     from rich.progress import Progress as Bar
@@ -174,7 +175,7 @@ def _has_colours() -> bool:
 
 def printable(words: str) -> str:
     """Return words with escapes in the place of control characters, and of those that turn the direction of writing."""
-    return _STEERING.sub(lambda found: repr(found[0])[1:-1], words)
+    return _STEERING.sub(lambda found: repr(found[0])[1:-1], named(words))
 
 
 def flush() -> None:

@@ -15,7 +15,7 @@ from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
-from camcal import files
+from camcal import files, urls
 from camcal.errors import FileError, InvalidInput, Located
 from camcal.formats import boards, detections, documents
 from camcal.formats.schema import integer, items, mapping, number, one_of, plain, text
@@ -85,7 +85,7 @@ def run_text(run: Mapping[str, Any]) -> str:
 
 def detections_text(found: Detections) -> str:
     """Return the text of the `camcal-detections` element."""
-    return base64.b64encode(zlib.compress(detections.csv_text(found).encode("utf-8"), 9)).decode("ascii")
+    return base64.b64encode(zlib.compress(urls.named(detections.csv_text(found)).encode("utf-8"), 9)).decode("ascii")
 
 
 def read(path: Path, photo: re.Pattern[str]) -> PageData:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import camcal
+from camcal import urls
 from camcal.errors import InvalidInput
 from camcal.formats import boards
 from camcal.formats.schema import flag, integer, items, mapping, number, plain, text
@@ -72,7 +73,7 @@ def command(arguments: Sequence[str]) -> str:
             kept.append(Path(argument).as_posix() if "/" in argument or "\\" in argument else argument)
         elif name in WITH_VALUE and not equals:
             next(left, None)
-    line = shlex.join(["camcal", *kept])
+    line = urls.named(shlex.join(["camcal", *kept]))
     half = MAX_COMMAND // 2
     return line if len(line) <= MAX_COMMAND else f"{line[:half]} … {line[-half:]}"
 

@@ -20,6 +20,7 @@ from camcal.images import exif, limits
 from camcal.images.exif import JPEG, PNG, read_jpeg, read_png_exif
 from camcal.images.image import CHANNELS, DTYPES, RAW_SUFFIXES, Image, Scratch, conversion_advice, foreign_suffix
 from camcal.images.npy import read_npy
+from camcal.urls import local
 
 _FLAGS = cv2.IMREAD_UNCHANGED | cv2.IMREAD_IGNORE_ORIENTATION
 _STARTS = {
@@ -131,7 +132,7 @@ def _load_jpeg(path: Path, content: bytes, scratch: Scratch | None) -> Image:
     height_and_width = header.size[::-1]
     shape = height_and_width if header.channels == 1 else (*height_and_width, 3)
     try:
-        pixels = cv2.imread(str(path), scratch.array("decoded", shape, np.uint8), _FLAGS)
+        pixels = cv2.imread(str(local(path)), scratch.array("decoded", shape, np.uint8), _FLAGS)
     except cv2.error as error:
         raise translated(error) or _unreadable(path, content) from error
     if pixels is None:

@@ -12,6 +12,7 @@ from camcal.arrays import Array
 from camcal.errors import FileError
 from camcal.images import limits
 from camcal.images.image import Image
+from camcal.urls import local
 
 BARE_SUFFIXES = frozenset({".mjpeg", ".mjpg", ".h264", ".264", ".h265", ".265", ".hevc"})  # pictures without times
 PIXELS = 0.4e6  # of the reduced copies on which frames are compared
@@ -42,7 +43,7 @@ def frame_name(video: Path, number: int) -> str:
 def _opened(path: Path) -> Iterator[cv2.VideoCapture]:
     if not path.is_file() or path.stat().st_size == 0:
         raise FileError("is empty" if path.is_file() else "no such file", where=str(path))
-    capture = cv2.VideoCapture(str(path))
+    capture = cv2.VideoCapture(str(local(path)))
     try:
         if not capture.isOpened():
             raise FileError("not a readable video, or truncated", where=str(path))

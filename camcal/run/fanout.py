@@ -12,6 +12,7 @@ from collections.abc import Callable, Generator, Iterable, Iterator, Sized
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from contextvars import copy_context
+from dataclasses import replace
 
 from camcal.errors import InvalidInput
 from camcal.messages import Message
@@ -40,8 +41,9 @@ def fan_out(
     A CamcalError of `function` becomes the item's error; any other exception is a bug and is raised here.
     jobs: threads or processes, by default the cores this process may use; 1 works in this thread, as does a process
     that may start no other.
-    batch: its timeout takes the place of `timeout`. With its fail_fast no item is begun after one has failed; those at
-    work are finished, the others have no outcome and are counted in a warning.
+    batch: its timeout takes the place of `timeout`, workers of its scheduler that of those here. With its fail_fast no
+    item is begun after one has failed; those at work are finished, the others have no outcome and are counted in a
+    warning.
     processes: use worker processes; `function` and the items must then be picklable, and a worker that is killed or
     crashes costs its item only (ItemsFailed) and is replaced.
     timeout: seconds for one item; one that takes longer is stopped with its worker, which takes a process.
@@ -51,6 +53,11 @@ def fan_out(
     if jobs is not None and jobs < 1:
         raise InvalidInput(f"{jobs} jobs, need at least 1", where="jobs")
     timeout = timeout if batch.timeout is None else batch.timeout
+    if batch.scheduler is not None:
+        from camcal.run import cluster
+
+        sent = cluster.outcomes(function, items, replace(batch, timeout=timeout), jobs, progress)
+        return _reported(sent, what, len(items) if isinstance(items, Sized) else None, progress)
     processes = processes or timeout is not None
     total = len(items) if isinstance(items, Sized) else None
     count = jobs or available_cores()

@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
-from camcal import files, system
+from camcal import files, system, urls
 from camcal.errors import FileError, in_one_line, reason
 
 MANIFEST = ".camcal-output"
@@ -74,13 +74,14 @@ def change(folder: Path, added: Entries, removed: AbstractSet[str] = frozenset()
         if lines and lines != text:
             files.write_bytes(folder / MANIFEST, os.fsencode(lines))  # a file name need not be UTF-8
         elif not lines:
-            (folder / MANIFEST).unlink(missing_ok=True)
+            urls.remove(folder / MANIFEST)
 
 
 def append(folder: Path, added: Entries) -> None:
     """Add lines to the list of a folder, which is not read for it; raises FileError if it cannot be written."""
-    with _changing(folder), (folder / MANIFEST).open("ab") as stream:
-        stream.write(os.fsencode("".join(_line(in_one_line(name), entry) for name, entry in added.items())))
+    lines = "".join(_line(in_one_line(name), entry) for name, entry in added.items())
+    with _changing(folder):
+        urls.append(folder / MANIFEST, os.fsencode(lines))
 
 
 def begins_with(path: Path, other: Path) -> bool:

@@ -1,13 +1,25 @@
 """The options of commands that work on many items."""
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated
+from typing import Annotated, Any
 
 from camcal.errors import CamcalError
-from camcal.options import GENERAL, Option, OptionsRecord
+from camcal.options import GENERAL, Declared, Option, OptionsRecord, ValueType
+
+LOCAL = "dask://local"
 
 _SHORTEST_S = 1e-3  # a limit below says nothing of the item
+_SCHEDULER = re.compile(rf"{LOCAL}|dask(?:\+tls)?://[^\s/]+:\d+")
+
+
+def _scheduler(text: str) -> str:
+    """Return the URL of a scheduler without a slash at its end; raises ValueError for any other text."""
+    url = text.removesuffix("/")
+    if not _SCHEDULER.fullmatch(url):
+        raise ValueError(text)
+    return url
 
 
 @dataclass(frozen=True)
@@ -42,9 +54,10 @@ class BatchOptions(OptionsRecord):
     scheduler: Annotated[
         str | None,
         Option(
-            "Dask scheduler that the items are sent to: dask://HOST:PORT, or dask://local for one of its own.",
+            "Work on a Dask cluster: dask://HOST:PORT, dask+tls://HOST:PORT, or dask://local for one of its own.",
             metavar="URL",
             group=GENERAL,
+            type=ValueType(_scheduler, str, f"dask://HOST:PORT, dask+tls://HOST:PORT or {LOCAL}"),
             recorded=False,
         ),
     ] = None
@@ -61,3 +74,14 @@ class BatchOptions(OptionsRecord):
 
 
 DEFAULT_BATCH = BatchOptions()
+
+
+def located(each: Declared, given: Any) -> Any:
+    """Return the text or texts of an option with paths in place of URLs; see `run.remote`, which only these import."""
+    texts = given if isinstance(given, (list, tuple)) else [given]
+    if each.option.group == GENERAL or not any(isinstance(text, str) and "://" in text for text in texts):
+        return given
+    from camcal.run import remote
+
+    found = [remote.given(text) for text in texts]
+    return found if isinstance(given, (list, tuple)) else found[0]

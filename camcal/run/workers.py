@@ -23,6 +23,7 @@ from typing import Any, Generic, NamedTuple
 
 import numpy as np
 
+from camcal import urls
 from camcal.errors import ItemsFailed, translated
 from camcal.progress import Item, Outcome, Value
 from camcal.run.process import ended_by, heed_parent, worker_environment
@@ -38,13 +39,14 @@ _LONGEST_WAIT = 3600.0  # seconds that a system's call surely takes
 def attempt(function: Callable[[Item], Value], item: Item) -> Outcome[Item, Value]:
     """Return the outcome of an item; an exception that is not the user's doing is raised."""
     try:
-        return Outcome(item, value=function(item))
+        with urls.item():
+            return Outcome(item, value=function(item))
     except Exception as error:
         known = translated(error)
         if known is None:
             raise
         if known is not error and known.where is None:
-            known.where = _name(item)
+            known.where = item_name(item)
         return Outcome(item, error=known)
 
 
@@ -118,7 +120,7 @@ class _Worker:
     def __init__(self, payload: Payload) -> None:
         context = multiprocessing.get_context("spawn")
         self.pipe, theirs = context.Pipe()
-        self.process = context.Process(target=_serve, args=(theirs, payload), daemon=True)
+        self.process = context.Process(target=_serve, args=(theirs, payload, urls.REMOTE.get()), daemon=True)
         self.ready = False
         self.task: tuple[int, Any] | None = None
         self.deadline = float("inf")
@@ -236,7 +238,7 @@ class WorkerPool(Generic[Item, Value]):
                 )
         if worker.task is not None:
             index, item = worker.task
-            self.finish(index, Outcome(item, error=ItemsFailed(reason, where=_name(item) or f"item {index + 1}")))
+            self.finish(index, Outcome(item, error=ItemsFailed(reason, where=item_name(item) or f"item {index + 1}")))
         self.dismiss(worker)
 
     def finish(self, index: int, outcome: Outcome[Item, Value]) -> None:
@@ -250,7 +252,7 @@ class WorkerPool(Generic[Item, Value]):
         _stop([worker])
 
 
-def _name(item: object) -> str | None:
+def item_name(item: object) -> str | None:
     """Return the file that an item stands for, None if it is of another kind."""
     first = item[0] if isinstance(item, tuple) and item else item
     return str(first) if isinstance(first, (str, os.PathLike)) else None
@@ -270,9 +272,10 @@ def _stop(workers: list[_Worker]) -> None:
         worker.process.close()
 
 
-def _serve(pipe: Connection, payload: Payload) -> None:
+def _serve(pipe: Connection, payload: Payload, remote: urls.Remote | None) -> None:
     """Work in a worker process: take an item from the pipe, answer, until the pipe closes."""
     heed_parent()
+    urls.REMOTE.set(remote)
     threading.Thread(target=_leave_with_parent, args=(payload,), daemon=True).start()
     with suppress(EOFError, OSError):
         try:

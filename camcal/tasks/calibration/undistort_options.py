@@ -86,7 +86,7 @@ class UndistortOptions(OptionsRecord):
     quality: JpegQuality = JPEG_QUALITY
     recursive: Recursive = False
     jobs: Jobs = None
-    batch: Annotated[BatchOptions, Without(("scheduler",))] = DEFAULT_BATCH
+    batch: BatchOptions = DEFAULT_BATCH
     overwrite: Overwrite = False
 
     def __post_init__(self) -> None:

@@ -54,7 +54,7 @@ class PipelineOptions(OptionsRecord):
     ] = None
     overwrite: Overwrite = False
     jobs: Jobs = None
-    batch: Annotated[BatchOptions, Without(("timeout", "resume", "scheduler"))] = field(default_factory=BatchOptions)
+    batch: Annotated[BatchOptions, Without(("timeout", "resume"))] = field(default_factory=BatchOptions)
 
     def __post_init__(self) -> None:
         super().__post_init__()

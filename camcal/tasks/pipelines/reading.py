@@ -19,6 +19,7 @@ from camcal.formats.documents import Document, Fault, child
 from camcal.options import Declared, declared
 from camcal.parsing import did_you_mean
 from camcal.run.option_paths import is_folder
+from camcal.run.options import located
 from camcal.run.settings import is_note, read_settings, typed, wrong_settings
 from camcal.tasks.pipelines.step import Step
 
@@ -281,7 +282,8 @@ class _Reader:
             self.note(path, f"takes {each.option.values} values, not {len(given)}")
         else:
             try:
-                return each.read(str(given).lower() if isinstance(given, bool) and not each.flag else given)
+                text = str(given).lower() if isinstance(given, bool) and not each.flag else given
+                return each.read(located(each, text))
             except InvalidInput as error:
                 self.note(path, _NAMED.sub("", error.message))
         return None

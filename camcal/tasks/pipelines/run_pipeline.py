@@ -199,13 +199,14 @@ class _PipelineRun:
     def results(self, names: Sequence[str]) -> Iterator[tuple[str, StepResult]]:
         """Yield what comes of steps that do not need one another.
 
-        If there are as many as jobs, each has a process of its own; otherwise one comes after the other, and has all.
+        If there are as many as jobs, each has a process of its own, or a worker of a cluster; otherwise one comes after
+        the other, and has all.
         """
         count = self.options.jobs or available_cores()
         limited = any(each.key == "timeout" for name in names for each in self.order.steps[name].given)
         if len(names) < max(count, 2) or limited:
             for name in names:
-                yield name, self.perform(self.job(name, self.options.jobs), self.progress)
+                yield name, self.perform(self.job(name, self.options.jobs, self.options.batch.scheduler), self.progress)
                 if self.stopped:
                     return
             return
@@ -221,10 +222,15 @@ class _PipelineRun:
         ):
             yield outcome.item.name, _result(outcome)
 
-    def job(self, name: str, jobs: int | None) -> StepJob:
+    def job(self, name: str, jobs: int | None, scheduler: str | None = None) -> StepJob:
         """Return what it takes to run a step; items of it that are done need not be done again."""
         step = self.order.steps[name]
-        how = {"jobs": jobs, "resume": not self.options.force or None, "overwrite": self.options.overwrite or None}
+        how = {
+            "jobs": jobs,
+            "scheduler": scheduler,
+            "resume": not self.options.force or None,
+            "overwrite": self.options.overwrite or None,
+        }
         options = step.options(**{key: value for key, value in how.items() if value is not None})
         return StepJob(name, step.command, options, Path.cwd(), self.file)
 

@@ -87,7 +87,7 @@ class DetectionOptions(OptionsRecord):
     ] = False
     recursive: Recursive = False
     jobs: Jobs = None
-    batch: Annotated[BatchOptions, Without(("resume", "scheduler"))] = DEFAULT_BATCH
+    batch: Annotated[BatchOptions, Without(("resume",))] = DEFAULT_BATCH
     repeated_ids: Annotated[
         str,
         Option(

@@ -16,7 +16,6 @@ from camcal.options import (
     Argument,
     Option,
     OptionsRecord,
-    Without,
     Written,
     separated,
 )
@@ -140,7 +139,7 @@ class DemosaicOptions(OptionsRecord):
     trust_pattern: Annotated[bool, Option("Skip the check of the pattern against the frame.", group=CHECKS)] = False
     recursive: Recursive = False
     jobs: Jobs = None
-    batch: Annotated[BatchOptions, Without(("scheduler",))] = DEFAULT_BATCH
+    batch: BatchOptions = DEFAULT_BATCH
     overwrite: Overwrite = False
 
     def __post_init__(self) -> None:

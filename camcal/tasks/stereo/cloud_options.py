@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
-from camcal.options import INPUT, NUMBERS, OUTPUT, PERCENT, Argument, Option, OptionsRecord, Without, Written
+from camcal.options import INPUT, NUMBERS, OUTPUT, PERCENT, Argument, Option, OptionsRecord, Written
 from camcal.run.options import DEFAULT_BATCH, BatchOptions
 from camcal.stereo.options import MatchOptions
 from camcal.tasks.options import Jobs, Overwrite, result_option
@@ -159,7 +159,7 @@ class CloudOptions(OptionsRecord):
     points: PointOptions = field(default_factory=PointOptions)
     vertices: VertexOptions = field(default_factory=VertexOptions)
     jobs: Jobs = None
-    batch: Annotated[BatchOptions, Without(("scheduler",))] = DEFAULT_BATCH
+    batch: BatchOptions = DEFAULT_BATCH
     overwrite: Overwrite = False
 
     @property

@@ -144,7 +144,7 @@ class StereoCheckOptions(OptionsRecord):
     ] = None
     recursive: Recursive = False
     jobs: Jobs = None
-    batch: Annotated[BatchOptions, Without(("resume", "scheduler"))] = DEFAULT_BATCH
+    batch: Annotated[BatchOptions, Without(("resume",))] = DEFAULT_BATCH
     overwrite: Overwrite = False
 
     def __post_init__(self) -> None:
@@ -196,7 +196,7 @@ class DisparityOptions(OptionsRecord):
     force: Force = False
     recursive: Recursive = False
     jobs: Jobs = None
-    batch: Annotated[BatchOptions, Without(("scheduler",))] = DEFAULT_BATCH
+    batch: BatchOptions = DEFAULT_BATCH
     overwrite: Overwrite = False
 
     def __post_init__(self) -> None:
@@ -291,7 +291,7 @@ class EvalOptions(OptionsRecord):
         ),
     ] = ()
     jobs: Jobs = None
-    batch: Annotated[BatchOptions, Without(("resume", "scheduler"))] = DEFAULT_BATCH
+    batch: Annotated[BatchOptions, Without(("resume",))] = DEFAULT_BATCH
     figures: FigureOptions = NO_FIGURES
     overwrite: Overwrite = False
 

@@ -91,7 +91,7 @@ class RunOptions(OptionsRecord):
     force: Force = False
     recursive: Recursive = False
     jobs: Jobs = None
-    batch: Annotated[BatchOptions, Without(("scheduler",))] = DEFAULT_BATCH
+    batch: BatchOptions = DEFAULT_BATCH
     overwrite: Overwrite = False
 
     def __post_init__(self) -> None:
