@@ -20,28 +20,42 @@ def direction_displacements(camera: Camera, pixels: Array, fitted: Array | None 
     a calibration has measured, as pixels to which the lens is extrapolated must not turn it. It is that over all pixels
     where `fitted` is None or holds less than ten of them. NaN where the lens is not valid.
     """
-    by_lens, by_rotation = _jacobians(camera, pixels)
-    valid = np.isfinite(by_lens).all(axis=(1, 2)) & np.isfinite(by_rotation).all(axis=(1, 2))
+    by_lens, _, by_rotation = _jacobians(camera, pixels)
+    return _without_rotation(by_lens, by_rotation, fitted)
+
+
+def point_displacements(camera: Camera, pixels: Array, distance: float, fitted: Array | None = None) -> Array:
+    """Return the displacements (N, 2, K + 3) of points that are seen at pixels (N, 2) at a distance from the camera.
+
+    The last three columns are those per unit of a shift of the points, in the unit of `distance`; fitted, NaN: as of
+    `direction_displacements`.
+    """
+    by_lens, by_point, by_rotation = _jacobians(camera, pixels)
+    return _without_rotation(np.concatenate([by_lens, by_point / distance], axis=2), by_rotation, fitted)
+
+
+def _without_rotation(moved: Array, by_rotation: Array, fitted: Array | None) -> Array:
+    """Return displacements (N, 2, C) without what the rotation explains that explains most of them."""
+    valid = np.isfinite(moved).all(axis=(1, 2)) & np.isfinite(by_rotation).all(axis=(1, 2))
     chosen = valid if fitted is None or np.sum(valid & fitted) < _FEWEST else valid & fitted
-    displacements = by_lens - by_rotation @ _rotations(by_lens[chosen], by_rotation[chosen])
+    displacements = moved - by_rotation @ _rotations(moved[chosen], by_rotation[chosen])
     displacements[~valid] = np.nan
     return np.asarray(displacements)
 
 
-def _jacobians(camera: Camera, pixels: Array) -> tuple[Array, Array]:
-    """Return the derivatives of the pixels of fixed directions by the parameters (N, 2, K) and a rotation (N, 2, 3)."""
+def _jacobians(camera: Camera, pixels: Array) -> tuple[Array, Array, Array]:
+    """Return the derivatives of pixels of unit rays by parameters (N, 2, K), ray (N, 2, 3) and rotation (N, 2, 3)."""
     rays = camera.unproject(pixels).directions
     projected = camera.model.project_with_jacobians(camera.parameters, rays)
-    return projected.by_parameters(len(camera.parameters)), np.asarray(
-        projected.d_point @ -so3.hat(rays)
-    )  # δray = δr × ray
+    by_rotation = projected.d_point @ -so3.hat(rays)  # δray = δr × ray
+    return projected.by_parameters(len(camera.parameters)), projected.d_point, np.asarray(by_rotation)
 
 
-def _rotations(by_lens: Array, by_rotation: Array) -> Array:
-    """Return the rotation (3, K) per unit of every parameter that best explains how the parameter moves the pixels."""
-    if not len(by_lens):
-        return np.zeros((3, by_lens.shape[2]))
-    flat = by_lens.reshape(-1, by_lens.shape[2])
+def _rotations(moved: Array, by_rotation: Array) -> Array:
+    """Return the rotation (3, C) per unit of every change that best explains how the change moves the pixels."""
+    if not len(moved):
+        return np.zeros((3, moved.shape[2]))
+    flat = moved.reshape(-1, moved.shape[2])
     return np.asarray(np.linalg.lstsq(by_rotation.reshape(-1, 3), flat, rcond=None)[0])
 
 

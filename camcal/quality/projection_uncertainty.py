@@ -43,7 +43,7 @@ class ProjectionUncertainty:
     @property
     def pixels(self) -> FloatArray:
         """The pixels (N, 2) of the grid, row by row."""
-        return _pixels(self.u, self.v)
+        return grid_pixels(self.u, self.v)
 
     @property
     def std_rms(self) -> FloatArray:
@@ -104,7 +104,7 @@ def projection_uncertainty(
         raise InvalidInput("the projection uncertainty needs the covariance of the camera, which is not known")
     width, height = camera.image_size
     u, v = np.linspace(0, width - 1, grid[0]), np.linspace(0, height - 1, grid[1])
-    pixels = _pixels(u, v)
+    pixels = grid_pixels(u, v)
     inside = None if observed is None else in_hull(pixels, observed)
     displacements = direction_displacements(camera, pixels, inside)
     if circle is not None:
@@ -112,5 +112,6 @@ def projection_uncertainty(
     return ProjectionUncertainty(u, v, displacements @ covariance @ displacements.transpose(0, 2, 1), inside)
 
 
-def _pixels(u: Array, v: Array) -> Array:
+def grid_pixels(u: Array, v: Array) -> Array:
+    """Return the pixels (N, 2) of a grid of columns u and rows v, row by row."""
     return np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)

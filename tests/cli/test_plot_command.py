@@ -17,7 +17,8 @@ from camcal.targets.board import Board
 
 BOARD = Board("chessboard", 7, 5, 0.03)
 CALIBRATION = {
-    "projection_uncertainty", "residual_vectors", "residuals_over_radius", "residuals_by_view", "residual_histogram",
+    "projection_uncertainty", "uncertainty_over_distance", "residual_vectors", "residuals_over_radius",
+    "residuals_by_view", "residual_histogram",
     "coverage", "board_shape", "board_height", "poses", "correlations",
 }  # fmt: skip
 

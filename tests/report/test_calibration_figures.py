@@ -27,6 +27,7 @@ from camcal.targets.board import Board
 SIZE, NOISE = (1280, 960), 0.1
 NAMES = (
     "projection_uncertainty",
+    "uncertainty_over_distance",
     "residual_vectors",
     "residuals_over_radius",
     "residuals_by_view",
@@ -199,7 +200,7 @@ def test_a_board_that_is_taken_to_be_flat_has_no_shape_to_draw():
     found = calibrated()
     flat = replace(found, surface=type(found.surface).flat(found.board))
     names = {plot.name for plot in calibration_plots(flat, projection_uncertainty(found.camera))}
-    assert names == set(NAMES) - {"board_shape", "board_height", "lens_models"}
+    assert names == set(NAMES) - {"uncertainty_over_distance", "board_shape", "board_height", "lens_models"}
 
 
 def test_boards_are_drawn_where_they_stood_with_equal_lengths_along_all_axes():

@@ -94,7 +94,7 @@ def test_tables_have_scopes_and_pictures_have_texts(good):
     tree = tree_of(good)
     assert all(element.get("scope") in ("row", "col") for element in tree.iter("th"))
     pictures = list(tree.iter("img"))
-    assert len(pictures) == 2 * 8
+    assert len(pictures) == 2 * 9
     assert all(len(element.get("alt")) > 20 for element in pictures)
 
 

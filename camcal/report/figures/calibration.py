@@ -13,10 +13,12 @@ from camcal.cameras.model import Camera
 from camcal.cameras.validity import ImageCircle
 from camcal.messages import counted
 from camcal.quality.projection_uncertainty import ProjectionUncertainty
+from camcal.quality.range_uncertainty import range_uncertainty
 from camcal.report.figures import image_plane
 from camcal.report.figures.board import board_height, board_shape, poses
 from camcal.report.figures.figure import DIVERGING_MAP, WIDTH, Plot, Theme, logarithmic_labels
 from camcal.report.figures.image_plane import colour_bar
+from camcal.report.figures.range_curve import uncertainty_over_distance
 
 _BINS = 12  # over radius, of as many corners each
 _LOW, _HIGH = 0.1, 0.9
@@ -40,6 +42,7 @@ def calibration_plots(
     """
     every = (
         image_plane.projection_uncertainty(uncertainty, calibration.camera.image_size, circle),
+        _over_distance(calibration, uncertainty),
         image_plane.residual_vectors(calibration),
         residuals_over_radius(calibration),
         residuals_by_view(_rms_of_views(calibration), len(calibration.views)),
@@ -59,6 +62,13 @@ def calibration_plots(
         lens_models(candidates, calibration.camera.model.name),
     )
     return tuple(plot for plot in every if plot is not None)
+
+
+def _over_distance(calibration: Calibration, uncertainty: ProjectionUncertainty) -> Plot | None:
+    found, figures = range_uncertainty(calibration), uncertainty.figures()
+    if found is None or "inside_rms_px" not in figures:
+        return None
+    return uncertainty_over_distance(found, figures["inside_rms_px"], calibration.board.unit)
 
 
 def residuals_over_radius(calibration: Calibration) -> Plot:

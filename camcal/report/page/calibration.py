@@ -130,7 +130,7 @@ def camera_sections(camera: CalibratedCamera, warnings: Sequence[Message] = ()) 
     words = projection_words(
         {name.replace("worst", "max"): value for name, value in camera.uncertainty.figures().items()}
     )
-    known = ("projection_uncertainty", "coverage")
+    known = ("projection_uncertainty", "coverage", "uncertainty_over_distance")
     yield Section(f"{prefix}uncertainty", "Projection uncertainty and coverage", [f"{words}."], pictures=taken(*known))
     residuals = ("residual_vectors", "residuals_over_radius", "residuals_by_view", "residual_histogram")
     yield Section(f"{prefix}residuals", "Residuals", summary(calibration), pictures=taken(*residuals))
