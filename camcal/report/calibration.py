@@ -11,7 +11,7 @@ from camcal.formats import boards
 from camcal.messages import counted
 from camcal.quality.projection_uncertainty import ProjectionUncertainty
 from camcal.report.table import Column
-from camcal.report.uncertain import held_by_prior_words, value_and_std
+from camcal.report.uncertain import held_by_prior_words, length_unit, value_and_std
 from camcal.targets.surface import RATIOS
 
 CANDIDATE_COLUMNS = (
@@ -102,7 +102,7 @@ def _within_views_lines(calibration: Calibration) -> list[str]:
         typical, most = errors.rolling_px
         lines.append(f"Rolling shutter: {typical:.2g} px over the height of a typical image, at most {most:.2g} px")
     if errors.flex is not None:
-        factor, unit = _length(calibration)
+        factor, unit = length_unit(calibration.board)
         typical, most = (factor * value for value in errors.flex)
         lines.append(f"The board bends: by {typical:.2g} {unit} RMS in a typical view, at most {most:.2g} {unit}")
     if errors.share > 0 and not lines:
@@ -110,14 +110,9 @@ def _within_views_lines(calibration: Calibration) -> list[str]:
     return lines
 
 
-def _length(calibration: Calibration) -> tuple[float, str]:
-    """Return the factor that takes lengths of the board to the unit that they are said in, and that unit."""
-    return (1e3, "mm") if calibration.board.unit == "m" else (1.0, "squares")
-
-
 def _board_lines(calibration: Calibration) -> list[str]:
     surface = calibration.surface
-    factor, unit = _length(calibration)
+    factor, unit = length_unit(calibration.board)
     lines = []
     if surface.deflection > _SHOWN * surface.deflection_std:
         bend, std = value_and_std(factor * surface.deflection, factor * surface.deflection_std)

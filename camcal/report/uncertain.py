@@ -4,6 +4,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from math import floor, isfinite, log10
 from typing import Any
 
+from camcal.targets.board import Board
+
 _FIGURES = {"rms": "RMS", "max": "worst", "centre": "centre", "median": "median", "p95": "95th percentile"}
 _LEAST, _MOST = 1e-6, 1e5  # standard deviations outside of these are written with an exponent
 
@@ -34,6 +36,11 @@ def value_and_std(value: float, std: float | None) -> tuple[str, str]:
 def value_with_std(value: float, std: float | None) -> str:
     """Return a value with its standard deviation, such as '458.65 ± 0.41'; without it where that is not known."""
     return " ± ".join(filter(None, value_and_std(value, std)))
+
+
+def length_unit(board: Board) -> tuple[float, str]:
+    """Return the factor that takes small lengths of a board to the unit that they are said in, and that unit."""
+    return (1e3, "mm") if board.unit == "m" else (1.0, "squares")
 
 
 def values_and_stds(values: Iterable[Any], stds: Iterable[Any]) -> tuple[str, str]:

@@ -39,8 +39,10 @@ def test_a_video_is_calibrated_like_images(run, video, tmp_path):
     """Every frame shows another pose and has moved far since the one before: nothing is left out for that."""
     output = tmp_path / "camera.yaml"
     arguments = ("calibrate", video, "-b", "chessboard:8x5:30mm", "-o", output, "--model", "pinhole", "--jobs", 1)
-    code, out, _ = run(*arguments, "--flat-board", "--max-frames", 8, "--json")
+    report = tmp_path / "report.html"
+    code, out, _ = run(*arguments, "--flat-board", "--max-frames", 8, "--report", report, "--json")
     assert code == 0
+    assert report.read_text(encoding="utf-8").count("<image data-photo=") == 8
     told = json.loads(out)
     assert sum(frame["taken"] for frame in told["frames"]) == 8
     assert len(told["views"]) == 8

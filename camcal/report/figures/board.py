@@ -15,7 +15,7 @@ from camcal.messages import counted
 from camcal.report.figures.figure import COLOUR_MAP, DIVERGING_MAP, WIDTH, Plot, Theme, panel_height
 from camcal.report.figures.image_plane import colour_bar, round_down, scale_of
 from camcal.report.frusta import board_outline, frustum
-from camcal.targets.board import Board
+from camcal.report.uncertain import length_unit
 from camcal.targets.surface import Surface
 
 _RELIEF = 0.25  # of the board's longer side: how high its largest deviation is drawn
@@ -106,11 +106,6 @@ def _significance(surface: Surface) -> str:
     std = surface.deflection_std
     planar = ", planar within that" if surface.deflection <= 2 * std else ""
     return f" (1 σ of the bend {factor * std:.2g} {unit}{planar})"
-
-
-def length_unit(board: Board) -> tuple[float, str]:
-    """Return the factor that takes small lengths of a board to the unit that they are said in, and that unit."""
-    return (1e3, "mm") if board.unit == "m" else (1.0, "squares")
 
 
 def _relief(surface: Surface) -> tuple[Array, Array | None, str]:

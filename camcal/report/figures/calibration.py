@@ -201,6 +201,7 @@ def draw_ranked(axes: Axes, shown: Sequence[tuple[str, float, bool]], limit: flo
     axes.set_yticks(range(len(shown)), [short_name(name) for name, *_ in shown])
     axes.set_ylim(len(shown) - 0.4, -0.6)
     axes.set_xlim(0, limit)
+    axes.locator_params(axis="x", nbins=6)
     axes.grid(visible=True, axis="x")
 
 

@@ -155,8 +155,8 @@ def innovations(track: Track, gate: float) -> Plot:
     return Plot(
         "innovations",
         "Innovations",
-        f"Normalised innovation squared (NIS, no unit) of the detections: mean {mean:.3g}, expected 6; those above the "
-        f"gate of {gate:.4g} are rejected.",
+        f"Normalised innovation squared (NIS, no unit) of the detections: mean {mean:.3g}, expected 6; one above the "
+        f"gate of {gate:.4g} is rejected unless the next agrees with it (a jerk).",
         f"NIS over time, mean {mean:.3g}, gate {gate:.4g}.",
         draw,
         (WIDTH, 3.2),

@@ -19,8 +19,15 @@ from camcal.report.figures.calibration import calibration_plots
 from camcal.report.page.pictures import pictures
 from camcal.report.page.record import Figure, PageVerdict, Picture, Section, Table
 from camcal.report.page.thumbnails import MOST, thumbnails
-from camcal.report.page.verdict import checks_table, verdict
-from camcal.report.uncertain import held_by_prior_words, number_text, projection_words, value_and_std, value_with_std
+from camcal.report.page.verdict import checks_table, sentence, verdict
+from camcal.report.uncertain import (
+    held_by_prior_words,
+    length_unit,
+    number_text,
+    projection_words,
+    value_and_std,
+    value_with_std,
+)
 from camcal.targets.surface import RATIOS, Surface
 
 _NOT_IN_IDS = re.compile(r"[^A-Za-z0-9]+")
@@ -133,7 +140,8 @@ def camera_sections(camera: CalibratedCamera, warnings: Sequence[Message] = ()) 
     known = ("projection_uncertainty", "coverage", "uncertainty_over_distance")
     yield Section(f"{prefix}uncertainty", "Projection uncertainty and coverage", [f"{words}."], pictures=taken(*known))
     residuals = ("residual_vectors", "residuals_over_radius", "residuals_by_view", "residual_histogram")
-    yield Section(f"{prefix}residuals", "Residuals", summary(calibration), pictures=taken(*residuals))
+    said = [sentence(line) for line in summary(calibration)]
+    yield Section(f"{prefix}residuals", "Residuals", said, pictures=taken(*residuals))
     yield board_section(calibration.surface, taken("board_shape", "board_height"), prefix)
     yield Section(f"{prefix}poses", "Poses", pictures=taken("poses"))
     yield images_section(camera)
@@ -154,7 +162,7 @@ def _checked(messages: Sequence[Message]) -> list[str]:
 
 def board_section(surface: Surface, shown: Sequence[Picture], prefix: str = "") -> Section:
     """Return the section on the board: its type, its shape and how well that is known."""
-    factor, unit = (1e3, "mm") if surface.board.unit == "m" else (1.0, "squares")
+    factor, unit = length_unit(surface.board)
     bend = value_with_std(factor * surface.deflection, factor * surface.deflection_std)
     lines = [f"Board: {surface.board.words}.", f"Deflection {bend} {unit} peak to peak, out of plane."]
     rows = []

@@ -15,7 +15,7 @@ from camcal.report.figures.rig import joint_plots
 from camcal.report.page.calibration import CalibratedCamera, camera_sections, camera_verdict
 from camcal.report.page.pictures import pictures
 from camcal.report.page.record import BAD, Figure, PageVerdict, Section, Table
-from camcal.report.page.verdict import verdict
+from camcal.report.page.verdict import sentence, verdict
 from camcal.report.rig import (
     CAMERA_COLUMNS,
     PAIR_COLUMNS,
@@ -90,7 +90,7 @@ def rig_sections(rig: CalibratedRig) -> Iterator[Section]:
     ]
     if rig.pairs:
         tables.append(Table.under("Pairs (vergence: + converging)", PAIR_COLUMNS, pair_rows(rig.pairs)))
-    said = [f"{line}." for line in lines(found)]
+    said = [sentence(line) for line in lines(found)]
     shown = list(pictures(list(drawn.values())).values())
     yield Section("transforms", "Transforms and baselines", said, pictures=shown, tables=tables)
     yield replace(_captures(found), pictures=list(of_captures.values()))

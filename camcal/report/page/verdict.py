@@ -26,7 +26,7 @@ def _shown(level: str, message: Message) -> ShownMessage:
 def _parts(text: str) -> tuple[str, str]:
     """Return what was found and what to do as sentences, "" for what is not said."""
     what, _, remedy = text.rpartition(_REMEDY)
-    return (_sentence(what), _sentence(remedy)) if what else (_sentence(text), "")
+    return (sentence(what), sentence(remedy)) if what else (sentence(text), "")
 
 
 def shown_reasons(texts: Iterable[str], where: str) -> tuple[ShownMessage, ...]:
@@ -34,7 +34,7 @@ def shown_reasons(texts: Iterable[str], where: str) -> tuple[ShownMessage, ...]:
     return tuple(ShownMessage(FAILURE, "", *_parts(text), where=where) for text in texts)
 
 
-def _sentence(text: str) -> str:
+def sentence(text: str) -> str:
     """Return words as a sentence; names of parameters and files keep their letters."""
     first = text.partition(" ")[0].rstrip(",;")
     begun = text[:1].upper() + text[1:] if first.isalpha() and len(first) > 2 else text

@@ -13,7 +13,7 @@ from camcal.errors import InvalidInput
 from camcal.formats import cameras, documents, emit, native
 from camcal.formats.camera_file import CameraEntry, CameraFile, Transform
 from camcal.parsing import did_you_mean
-from camcal.report.uncertain import held_by_prior_words, projection_words, value_and_std
+from camcal.report.uncertain import held_by_prior_words, length_unit, projection_words, value_and_std
 from camcal.run.outputs import writes
 from camcal.targets.surface import CLASSES, RATIOS, Surface
 from camcal.tasks.options import InspectOptions
@@ -176,7 +176,7 @@ def _transform_words(transform: Transform) -> str:
 
 
 def _board_lines(surface: Surface, *, verbose: bool) -> Iterator[str]:
-    factor, unit = (1e3, "mm") if surface.board.unit == "m" else (1.0, "squares")
+    factor, unit = length_unit(surface.board)
     bend, std = value_and_std(factor * surface.deflection, factor * surface.deflection_std)
     yield f"board {surface.board.words}, bent by {bend} ± {std} {unit} peak to peak"
     if not verbose:

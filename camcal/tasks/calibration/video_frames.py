@@ -67,7 +67,7 @@ class Video:
 
     def frames(self) -> Iterator[Frame]:
         """Yield the frames that are to be searched, as far as the video can be read; `survey` said what ended it."""
-        wanted = frozenset(self.numbers)
+        wanted, last = frozenset(self.numbers), max(self.numbers, default=-1)
         before: Array | None = None
         with suppress(CamcalError):
             for number, image in enumerate(video.frames(self.path)):
@@ -75,6 +75,8 @@ class Video:
                 if number in wanted:
                     yield Frame(video.frame_name(self.path, number), Image(gray, image.orientation), before)
                 before = reduced(gray) if number + 1 in wanted else None
+                if number >= last:
+                    break
 
     def tasks(self, boards: Sequence[Board]) -> Iterator[tuple[str, Frame, Board]]:
         """Yield the frames that are to be searched under their names, each with every board."""

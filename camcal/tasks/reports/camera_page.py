@@ -30,7 +30,7 @@ def write(path: Path, report: CalibrateReport, options: CalibrateOptions, words:
     """Write the report of a calibration; words: the command line that is recorded. Raises FileError."""
     seen = report.views
     chosen = [each.view.image for each in worst_first(views_of(report.calibration))]
-    photos = photographs(chosen, seen.detections.views, options.reading, seen.files)
+    photos = photographs(chosen, seen.detections.views, options.reading, seen.files, seen.videos)
     run = _run(report, options, words)
     files.write_text(path, page_text(report, run, photos))
 
@@ -87,7 +87,7 @@ def write_refusal(
         "lines": list(seen.lines),
     }
     images = [view.image for view in seen.detections.views if view.found]
-    photos = photographs(images, seen.detections.views, options.reading, seen.files)
+    photos = photographs(images, seen.detections.views, options.reading, seen.files, seen.videos)
     files.write_text(path, refusal_text(seen, options.name, error, run, photos))
 
 

@@ -14,7 +14,7 @@ from camcal.report.page.origin import origin_section, repeat_section
 from camcal.report.page.pictures import pictures
 from camcal.report.page.record import BAD, GOOD, UNKNOWN, Figure, Page, PageVerdict, Section, ShownMessage, Table
 from camcal.report.page.render import rendered
-from camcal.report.page.verdict import shown_messages, shown_reasons
+from camcal.report.page.verdict import sentence, shown_messages, shown_reasons
 from camcal.report.rig import DEPTH_COLUMNS, PAIR_COLUMNS, depth_rows, pair_rows
 from camcal.tasks.calibration.inspect import Inspection, camera_lines, image_rows, parameter_rows, transform_lines
 from camcal.tasks.reports.closing import made
@@ -91,7 +91,7 @@ def _figures(file: CameraFile) -> Iterator[Figure]:
 
 def _camera(name: str, entry: CameraEntry, inspection: Inspection) -> Section:
     """Return the section on one camera: parameters, field of view, projection uncertainty."""
-    lines = [f"{line[:1].upper()}{line[1:]}." for line in camera_lines(entry, inspection.fields[name])]
+    lines = [sentence(line) for line in camera_lines(entry, inspection.fields[name])]
     heads = ("parameter", "value", "± std")
     table = Table.of(f"Lens parameters of {name}", heads, parameter_rows(entry.camera))
     found = pictures([*_uncertainty(entry)], f"{name}-")

@@ -37,7 +37,7 @@ def write(path: Path, report: RigReport, settings: RigSettings, command: Sequenc
     for name, own in report.calibration.calibrations.items():
         chosen = [each.view.image for each in worst_first(views_of(own))]
         views = [replace(view, camera=name) for view in seen.of(name)]
-        photos |= photographs(chosen, views, settings.reading, seen.files, _most(report))
+        photos |= photographs(chosen, views, settings.reading, seen.files, seen.videos, _most(report))
     run = _run(report, settings, command)
     files.write_text(path, page_text(report, run, photos))
 
@@ -138,7 +138,7 @@ def write_refusal(
     for name in seen.captures.cameras:
         views = [view for view in found.views if view.camera == name]
         images = [view.image for view in views if view.found]
-        photos |= photographs(images, views, settings.reading, seen.files)
+        photos |= photographs(images, views, settings.reading, seen.files, seen.videos)
     files.write_text(path, refusal_text(seen, error, run, photos))
 
 
