@@ -231,6 +231,9 @@ def damaged(kind, page):
         "option": page.replace('"options":{', '"options":{"outputs":"x",'),
         "value": page.replace('"options":{', '"options":{"max_rejected":"nan",'),
         "type": page.replace('"options":{', '"options":{"flat_board":"yes",'),
+        "guess": page.replace('"options":{', '"options":{"guess":"..",').replace(
+            '"guess":[]', '"guess":[{"name":"..","content":"QQ=="}]'
+        ),
         "table": page.replace(table, table[: len(table) // 2]),
         "base64": page.replace(table, "ü" + table),
     }[kind]
@@ -250,6 +253,7 @@ def damaged(kind, page):
         ("option", 2, "options.outputs: unknown option"),
         ("value", 2, "nan is not a number"),
         ("type", 2, "options.flat_board: 'yes' is not a value of this option"),
+        ("guess", 3, "not a YAML mapping"),
         ("table", 3, "damaged: the detections"),
         ("base64", 3, "damaged: the detections cannot be unpacked"),
     ],

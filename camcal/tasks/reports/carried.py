@@ -131,8 +131,8 @@ def unpacked_guesses(run: Mapping[str, Any], options: Any, folder: Path) -> list
         if name not in carried:
             raise InvalidInput(f"carries no content of --guess {name}")
         path, camera = split_address(address)
-        copy = folder / str(index) / path.name
-        copy.parent.mkdir()
+        # the name comes from the page and may be "..": only its suffix says what the file is
+        copy = folder / f"{index}{files.stem_of(path.suffix)}"
         copy.write_bytes(page_data.file_content(carried[name], name))
         start = name.partition("=")[0] + "=" if "=" in name else ""
         result.append(f"{start}{copy}" + (f"#{camera}" if camera else ""))
