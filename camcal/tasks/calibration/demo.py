@@ -27,23 +27,23 @@ _README = """\
 What `camcal demo` left here
 
 images/           {count} photographs, rendered: a chessboard of 10 x 7 inner corners, squares of 30 mm, slightly bent,
-                  under a lens whose numbers are known
-board.yaml        what was printed; commands take it as --board
-detections.csv    the corners that were found in the images; a calibration can start from them
-camera.yaml       the result: the camera as it was estimated, with standard deviations and the board's shape
-undistorted/      one image with straight lines, and the camera file that fits it
-truth.yaml        the camera and the board's bend as they truly are; nothing but this folder knows them
-poses.csv         where the board truly was in every image: camera_T_object takes points of the board to the camera
-corners.csv       where the corners truly are in the images
+                  by a camera with known parameters
+board.yaml        the board; commands take it as --board
+detections.csv    the detected corners; a calibration can start from them
+camera.yaml       the result: the camera with standard deviations, and the board's shape
+undistorted/      one undistorted image, and its camera file
+truth.yaml        ground truth: the camera, and the bend of the board
+poses.csv         ground truth: the pose of the board in every image, camera_T_object
+corners.csv       ground truth: the corners in every image
 
 What to try next, in this folder
 
-camcal inspect camera.yaml                                          what the camera file says
-camcal inspect truth.yaml                                           and what it should say
-camcal calibrate images --board board.yaml -o again.yaml            the calibration once more, from the images
+camcal inspect camera.yaml                                          the estimated camera
+camcal inspect truth.yaml                                           the true camera
+camcal calibrate images --board board.yaml -o again.yaml            the calibration again, from the images
 camcal calibrate detections.csv -o again.yaml                       the same from the corners, without the images
-camcal calibrate detections.csv --flat-board -o flat.yaml           what is lost by believing that boards are flat
-camcal undistort camera.yaml images -o straight --alpha 1           all images, without losing a pixel
+camcal calibrate detections.csv --flat-board -o flat.yaml           without the bend: a less accurate result
+camcal undistort camera.yaml images -o straight --alpha 1           all images, with every pixel of them
 camcal simulate charuco:9x7:30mm:22mm:DICT_5X5_100 -o other         other boards, lenses, light: see --help
 
 With photographs of your own, of a board of your own, this is all:
