@@ -234,6 +234,17 @@ def test_mistakes_are_named(code):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(("only_right", "start"), [((0, 4, 10, 13), 7), ((0, 2, 4, 6, 10, 12, 14), 8)])
+def test_an_image_that_was_not_written_is_named_where_most_captures_do_not_fit(only_right, start):
+    own = two_cameras(Board("chessboard", 9, 6, 0.025))
+    seen = seen_by(own, 16)
+    rows = tuple((None if capture in only_right else a, b) for capture, (a, b) in enumerate(seen.views))
+    codes, words = said_of(scenes.slipped(replace(seen, views=rows), 1, start), own)
+    assert codes == {"shifted_captures"}
+    assert f"from capture {start:04d} on" in words
+
+
+@pytest.mark.slow
 def test_a_camera_that_was_moved_is_named_with_the_capture():
     own = two_cameras()
     moved = (own.poses[0], Transform.of([0, 0.02, 0], [0.004, 0, 0]) @ own.poses[1])

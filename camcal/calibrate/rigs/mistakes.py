@@ -26,9 +26,10 @@ _SHIFTS = (1, -1, 2, -2)  # captures by which one camera may lag behind another
 _BETTER = 0.3  # of the typical error: what an explanation must bring it to
 _FAR, _FAR_PX = 6.0, 2.0  # times the typical error, and pixels: beyond both a capture does not fit
 _LOOSE = 0.04  # rad; no pair that moves between its exposures is that far off
+_AGREEING, _MOST = 2, 0.8  # captures on either side, share of all: what a shift from one on must make fit
 _LEAST_PX = 0.3  # of the typical error, however small it is
 _SCALE = 0.03  # by which the size of the board in one camera differs that is named
-_CLEAR, _CLEAR_PX = 7.0, 0.4  # standard deviations and pixels of a change of the relative pose
+_CLEAR, _CLEAR_PX = 6.0, 0.4  # standard deviations and pixels of a change of the relative pose
 _NAMED = 5  # captures in a sentence
 
 
@@ -75,11 +76,15 @@ def mistakes(
     failures: list[Message] = []
     excluded: dict[tuple[int, int], int] = {}
     findings: list[_Finding] = []
-    for (a, b), known in sorted(links.items()):
-        pair = _Pair(cameras[a], cameras[b], board, known)
-        if len(known.captures) >= SEVERAL:
-            pair.require_order()
-        changed = pair.changes(captures)
+    pairs = {(a, b): _Pair(cameras[a], cameras[b], board, known) for (a, b), known in sorted(links.items())}
+    several = [pair for pair in pairs.values() if len(pair.known.captures) >= SEVERAL]
+    for pair in several:
+        pair.require_order()
+    changes = {key: pair.changes(captures) for key, pair in pairs.items()}
+    for pair in several:
+        pair.require_consistent(captures, [change for found in changes.values() for change in found])
+    for (a, b), pair in pairs.items():
+        changed = changes[a, b]
         failures += changed
         found = [] if changed else pair.of_captures(captures)
         findings += found
@@ -177,9 +182,7 @@ class _Pair:
         return float(np.median(self.errors(_some(a, rows_a), _some(b, rows_b), known)))
 
     def require_order(self) -> None:
-        """Raise InsufficientData if all captures fit another way of putting them together much better, or most of them
-        do not fit at all.
-        """
+        """Raise InsufficientData if all captures fit another way of putting them together much better."""
         a, b = self.a.poses, self.b.poses
         typical = max(self.typical(self.known, a, b), _LEAST_PX)
         for shift in _SHIFTS:
@@ -199,15 +202,57 @@ class _Pair:
                 text = f"images of {camera.name} are mirrored: calibrate with the images as the sensor gives them"
                 raise _refused("mirrored_images", text, {})
         self._require_size()
+
+    def require_consistent(self, captures: Sequence[str], changes: Sequence[Message]) -> None:
+        """Raise InsufficientData if half of the captures or more do not fit the relative pose of the others.
+
+        It names the reason: the first of `changes` that other pairs of cameras show, or a shift from a capture on.
+        """
         errors = self.errors(*self.common(), self.known)
+        fitting = self._fitting(errors)
+        if 2 * fitting.sum() > len(errors):
+            return
+        shifted = self._late_shift(captures)
+        reasons = [shifted] if shifted else changes
+        if reasons:
+            raise InsufficientData(reasons[0].text, failures=reasons)
+        text = (
+            f"captures of {self.a.name} and {self.b.name} do not belong together: {np.sum(~fitting)} of "
+            f"{len(errors)} do not fit the relative pose of the others, by {np.median(errors[~fitting]):.2g} px"
+        )
+        raise _refused("inconsistent_captures", text, {"captures": int(np.sum(~fitting))})
+
+    def _fitting(self, errors: Array) -> Array:
+        """Return which of the common captures (n,) fit the relative pose that most agree with, by their errors, px."""
         limit = max(_FAR * float(np.quantile(errors, 0.2)), _FAR_PX)
-        fitting = errors < min(limit, max(_LOOSE * self.b.focal, _FAR_PX))
-        if 2 * fitting.sum() <= len(errors):
-            text = (
-                f"captures of {self.a.name} and {self.b.name} do not belong together: {np.sum(~fitting)} of "
-                f"{len(errors)} do not fit the relative pose of the others, by {np.median(errors[~fitting]):.2g} px"
-            )
-            raise _refused("inconsistent_captures", text, {"captures": int(np.sum(~fitting))})
+        return errors < min(limit, max(_LOOSE * self.b.focal, _FAR_PX))
+
+    def _late_shift(self, captures: Sequence[str]) -> Message | None:
+        """Return the message about captures that fit when b is shifted from one of them on, None without any."""
+        tried = [(self._late_fits(start, shift), start, shift) for start in range(len(captures)) for shift in _SHIFTS]
+        fits, start, shift = max(tried, key=lambda each: each[0])
+        if fits < _MOST:
+            return None
+        text = (
+            f"captures of {self.a.name} and {self.b.name} are shifted by {counted(abs(shift), 'capture')} from capture "
+            f"{captures[start]} on: check for a missing image, or use --match"
+        )
+        return Message("shifted_captures", text, {"capture": captures[start], "captures": shift})
+
+    def _late_fits(self, start: int, shift: int) -> float:
+        """Return the share of common captures that fit if b is shifted from the capture `start` on, 0 where few do."""
+        a, b = self.a.poses, self.b.poses
+        numbers = b.captures + np.where(b.captures >= start, shift, 0)
+        kept = (numbers < start) == (b.captures < start)
+        moved = _some(replace(b, captures=numbers), np.flatnonzero(kept))
+        known = link(a, moved, self.board)
+        if known is None:
+            return 0.0
+        _, of_a, of_b = np.intersect1d(a.captures, moved.captures, return_indices=True)
+        fitting = self._fitting(self.errors(_some(a, of_a), _some(moved, of_b), known))
+        late = known.captures >= start
+        enough = min(np.sum(fitting & late), np.sum(fitting & ~late)) >= _AGREEING
+        return float(np.mean(fitting)) if enough else 0.0
 
     def common(self) -> tuple[CameraPoses, CameraPoses]:
         """Return the poses of both cameras in their common captures."""
@@ -294,39 +339,15 @@ class _Pair:
         place, size, clear = largest_step(beside)
         if clear < _CLEAR or size < _CLEAR_PX:
             return []
-        shifted = self._shift_from(numbers, place)
-        name, later = captures[numbers[place]], f"from capture {captures[numbers[place]]} on"
+        shifted = self._late_shift(captures)
         if shifted:
-            text = (
-                f"captures of {self.a.name} and {self.b.name} are shifted by {counted(abs(shifted), 'capture')} "
-                f"{later}: check for a missing image, or use --match"
-            )
-            return [Message("shifted_captures", text, {"capture": name, "captures": shifted})]
+            return [shifted]
+        name = captures[numbers[place]]
         text = (
-            f"relative pose of {self.a.name} and {self.b.name} changed {later}, by {size:.2g} px: "
+            f"relative pose of {self.a.name} and {self.b.name} changed from capture {name} on, by {size:.2g} px: "
             "calibrate the captures before and after it separately"
         )
         return [Message("rig_changed", text, {"capture": name, "px": size})]
-
-    def _shift_from(self, numbers: Array, place: int) -> int:
-        """Return by how many captures b is shifted from a place on, or up to it; 0 if that does not explain it."""
-        for part, rest in ((numbers[place:], numbers[:place]), (numbers[:place], numbers[place:])):
-            if len(rest) < SEVERAL:
-                continue
-            a, b = self.a.poses, self.b.poses
-            whole = link(_of(a, rest), _of(b, rest), self.board)
-            if whole is None:
-                continue
-            before = self.typical(whole, _of(a, part), _of(b, part))
-            for shift in _SHIFTS:
-                moved = replace(b, captures=b.captures + shift)
-                common = np.intersect1d(part, moved.captures)
-                if 2 * len(common) < len(part):
-                    continue
-                after = self.typical(whole, _of(a, common), _of(moved, common))
-                if after < max(_BETTER * before, _LEAST_PX) and after < before / 2:
-                    return shift
-        return 0
 
 
 def _unit(points: Array) -> Array:
@@ -336,11 +357,6 @@ def _unit(points: Array) -> Array:
 def _some(poses: CameraPoses, rows: Array | Sequence[int]) -> CameraPoses:
     index = np.asarray(rows, np.intp)
     return CameraPoses(poses.captures[index], poses.rotations[index], poses.translations[index])
-
-
-def _of(poses: CameraPoses, captures: Array) -> CameraPoses:
-    """Return the views of some captures."""
-    return _some(poses, np.flatnonzero(np.isin(poses.captures, captures)))
 
 
 def _sides(cameras: Sequence[RigCamera], links: Mapping[tuple[int, int], Link]) -> list[Message]:
