@@ -17,6 +17,7 @@ _OPENCV_PARTS = ("aruco", "ximgproc")
 _REQUIREMENT = re.compile(r"([\w.-]+)(?:\[[^]]*])?\s*([^;]*?)(?:;\s*extra\s*==\s*['\"]([\w-]+)['\"])?$")
 PURPOSES = {  # of the extras that users install
     "clouds": "LAS and LAZ point clouds",
+    "cluster": "--scheduler, and URLs",
     "onnx": "camcal stereo disparity --engine onnx",
     "view": "camcal view --rerun, and .rrd files",
 }
