@@ -56,4 +56,4 @@ def _show(report: "PipelineReport", options: PipelineOptions, verbose: bool) -> 
         show.table(report.where, summary.COLUMNS, rows, verbose=verbose, most=show.LISTED)
         for title, values in summary.distributions(report):
             show.figure(partial(value_histogram, values, title))
-    show.verdict(summary.verdict(report), good=None if options.dry_run else report.code == 0)
+    show.verdict(summary.verdict(report), good=None if options.dry_run else summary.is_good(report))

@@ -1,14 +1,15 @@
 """`camcal run`: the steps of a pipeline, those that are not up to date, in their order."""
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import chdir
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import chdir, contextmanager, suppress
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Protocol
 
-from camcal import files
-from camcal.errors import EXIT_PRECEDENCE, InvalidInput
+from camcal import files, system
+from camcal.errors import EXIT_PRECEDENCE, FileError, InvalidInput
 from camcal.parsing import did_you_mean
 from camcal.progress import SILENT, Outcome, Progress
 from camcal.run.fanout import fan_out
@@ -74,14 +75,14 @@ def run_pipeline(
     """Return what came of the steps of a pipeline, after running those that are not up to date.
 
     commands: the options records of commands that may be steps. perform: runs a step, in this process or in a worker.
-    told: is called with every step when it starts and when it has ended. Meanwhile the working directory is the folder
-    of the pipeline.
+    told: is called with every step that starts alone, and with every step that has ended. Meanwhile the working
+    directory is the folder of the pipeline.
     Raises InvalidInput or FileError for a pipeline that is wrong, before any step runs; what a step raises is in its
     result.
     """
     where, file, state_file = str(options.pipeline), options.pipeline.absolute(), options.state_file.absolute()
     text = files.read_text(options.pipeline)
-    with watching() as ledger, chdir(file.parent):
+    with _alone(options), watching() as ledger, chdir(file.parent):
         with files.unwatched():
             pipeline = read_pipeline(text, where, dict(each.split("=", 1) for each in options.variables), commands)
             order = ordered(pipeline)
@@ -94,6 +95,24 @@ def run_pipeline(
             return PipelineReport(where, tuple(run.foreseen()))
         ledger.plan_named(state_file)
         return PipelineReport(where, tuple(run.all_steps()))
+
+
+@contextmanager
+def _alone(options: PipelineOptions) -> Iterator[None]:
+    """Keep other runs that would write the same state from a pipeline during the block."""
+    if options.state is not None or options.dry_run:
+        yield
+        return
+    handle = system.open_to_read(options.pipeline)
+    try:
+        with suppress(OSError):  # a file system without locks
+            try:
+                system.lock(handle)
+            except BlockingIOError:
+                raise FileError("another run of it goes on; wait for its end", where=str(options.pipeline)) from None
+        yield
+    finally:
+        os.close(handle)
 
 
 def _chosen(order: Order, options: PipelineOptions) -> list[str]:
@@ -145,9 +164,7 @@ class _PipelineRun:
         """Run the chosen steps, each after those that it needs; return them in their order."""
         while ready := [name for name in self.chosen if name not in self.reports and not self.waits(name)]:
             due = {name: reason for name in ready if (reason := self.begin(name)) is not None}
-            for name, reason in due.items():
-                self.told(StepReport(self.order.steps[name], STARTED, reason))
-            for name, result in self.results(list(due)):
+            for name, result in self.results(due):
                 self.end(name, due[name], result)
                 if self.stopped:
                     break
@@ -196,30 +213,24 @@ class _PipelineRun:
         later = (other for name, other in self.order.steps.items() if name not in above and name != step.name)
         return files_of(step, [self.file, self.state.path, *(path for other in later for path in other.outputs)])
 
-    def results(self, names: Sequence[str]) -> Iterator[tuple[str, StepResult]]:
-        """Yield what comes of steps that do not need one another.
+    def results(self, due: Mapping[str, str]) -> Iterator[tuple[str, StepResult]]:
+        """Yield what comes of steps that do not need one another; due: their names, and why they run.
 
-        If there are as many as jobs, each has a process of its own, or a worker of a cluster; otherwise one comes after
-        the other, and has all.
+        If they keep more than half of the jobs busy, each has a process of its own; otherwise one comes after the
+        other and has all jobs. On a cluster each is a job.
         """
-        count = self.options.jobs or available_cores()
-        limited = any(each.key == "timeout" for name in names for each in self.order.steps[name].given)
-        if len(names) < max(count, 2) or limited:
-            for name in names:
-                yield name, self.perform(self.job(name, self.options.jobs, self.options.batch.scheduler), self.progress)
-                if self.stopped:
-                    return
+        batch, count = self.options.batch, self.options.jobs or available_cores()
+        limited = any(each.key == "timeout" for name in due for each in self.order.steps[name].given)
+        if len(due) < 2 or limited or (batch.scheduler is None and 2 * len(due) <= count):
+            for name, reason in due.items():
+                self.told(StepReport(self.order.steps[name], STARTED, reason))
+                yield name, self.perform(self.job(name, self.options.jobs, batch.scheduler), self.progress)
             return
-        items = [self.job(name, 1) for name in names]
-        for outcome in fan_out(
-            self.perform,
-            items,
-            jobs=count,
-            batch=self.options.batch,
-            processes=True,
-            what="steps",
-            progress=self.progress,
-        ):
+        items = [self.job(name, 1) for name in due]
+        work = fan_out(
+            self.perform, items, jobs=count, batch=batch, processes=True, what="steps", progress=self.progress
+        )
+        for outcome in work:
             yield outcome.item.name, _result(outcome)
 
     def job(self, name: str, jobs: int | None, scheduler: str | None = None) -> StepJob:

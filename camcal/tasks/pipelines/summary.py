@@ -96,7 +96,14 @@ def verdict(report: PipelineReport) -> str:
     """Return how many steps are in which state, in a line."""
     counts = {state: report.count(state) for state in _STATES}
     found = ", ".join(f"{count} {state}" for state, count in counts.items() if count)
-    return f"{counted(len(report.steps), 'step')}: {found}"
+    doubtful = sum(bool(each.result.failures) for each in report.steps)
+    said = f"; {counted(doubtful, 'result')} not to be trusted" if doubtful else ""
+    return f"{counted(len(report.steps), 'step')}: {found}{said}"
+
+
+def is_good(report: PipelineReport) -> bool:
+    """Return whether no step failed, and every result may be trusted."""
+    return report.code == 0 and not any(each.result.failures for each in report.steps)
 
 
 def distributions(report: PipelineReport) -> Iterator[tuple[str, list[float]]]:

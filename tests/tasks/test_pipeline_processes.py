@@ -1,0 +1,107 @@
+"""Steps in worker processes: the same results as one by one, and a process that ends costs its step only."""
+
+import os
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from camcal.cli.steps import StepCommands, perform
+from camcal.errors import FileError
+from camcal.progress import SILENT
+from camcal.tasks.pipelines.options import PipelineOptions
+from camcal.tasks.pipelines.run_pipeline import DONE, FAILED, NOT_RUN, run_pipeline
+
+CAMERA = Path(__file__).parents[2] / "sample_configs" / "cameras" / "pinhole.yaml"
+PIPELINE = """\
+lists:
+  name: [a, b, c]
+steps:
+  first:
+    command: convert
+    foreach: name
+    arguments: [camera.yaml, $(name).xml]
+  second:
+    command: convert
+    foreach: name
+    arguments: [$(name).xml, out/$(name).yaml]
+"""
+
+
+@pytest.fixture
+def pipeline(tmp_path):
+    """A function that makes a pipeline in a folder of its own."""
+
+    def make(name):
+        folder = tmp_path / name
+        folder.mkdir()
+        shutil.copy(CAMERA, folder / "camera.yaml")
+        (folder / "pipeline.yaml").write_text(PIPELINE)
+        return folder / "pipeline.yaml"
+
+    return make
+
+
+def killed(job, progress=SILENT):
+    """A step whose process ends without a word, as one that the system kills for its memory."""
+    if job.name == "first[b]":
+        os._exit(9)
+    return perform(job, progress)
+
+
+def run(path, jobs, function=perform, **options):
+    return run_pipeline(PipelineOptions(path, jobs=jobs, **options), StepCommands(), function)
+
+
+def files_of(pipeline):
+    return {
+        path.relative_to(pipeline.parent): path.read_bytes() for path in pipeline.parent.rglob("*") if path.is_file()
+    }
+
+
+@pytest.mark.slow
+def test_steps_in_processes_write_the_same_bytes_as_one_by_one(pipeline):
+    one, two = pipeline("one"), pipeline("two")
+    assert run(one, 1).count(DONE) == 6
+    assert run(two, 2).count(DONE) == 6
+    assert files_of(one) == files_of(two)
+    assert len(files_of(one)) >= 9
+
+
+@pytest.mark.slow
+def test_a_process_that_ends_costs_its_step_and_those_that_need_it(pipeline):
+    path = pipeline("work")
+    report = run(path, 2, killed)
+    states = {each.name: each.state for each in report.steps}
+    assert states == dict.fromkeys(states, DONE) | {"first[b]": FAILED, "second[b]": NOT_RUN}
+    assert report.code == 6
+    assert run(path, 2).count(DONE) == 2
+
+
+def test_two_runs_of_one_pipeline_do_not_write_its_state_at_once(pipeline):
+    path = pipeline("work")
+
+    def nested(job, progress=SILENT):
+        with pytest.raises(FileError, match="another run of it goes on"):
+            run(path, 1)
+        assert run(path, 1, dry_run=True).code == 0
+        return perform(job, progress)
+
+    assert run(path, 1, nested, only=("first[a]",)).count(DONE) == 1
+    assert run(path, 1, only=("first[a]",)).count(DONE) == 0
+
+
+def test_a_step_that_breaks_leaves_the_others_and_its_traceback(pipeline):
+    path = pipeline("work")
+
+    report = run(path, 1, lambda job, progress=SILENT: perform(_broken(job), progress))
+    failed = [each for each in report.steps if each.state == FAILED]
+    assert [each.name for each in failed] == ["first[b]"]
+    assert "Traceback" in failed[0].result.error.trace
+    assert report.code == 1
+
+
+def _broken(job):
+    """Return a job whose options the command cannot use."""
+    return replace(job, options=PipelineOptions(job.pipeline)) if job.name == "first[b]" else job
