@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from importlib import import_module
 from typing import Any, get_type_hints
 
-from camcal import files
+from camcal import files, urls
 from camcal.cli.command import ImageCall
 from camcal.cli.kept_output import kept
 from camcal.cli.plain_data import plain
@@ -112,7 +112,7 @@ def perform(job: StepJob, progress: Progress = SILENT) -> StepResult:
         except Exception as failure:  # noqa: BLE001 - also a bug of one step must not end the others
             error = _error(failure)
             call.given.failures += tuple(getattr(failure, "failures", ()))
-        outputs = [path for path in run.planned if path.is_file()]
+        outputs = [path for path in run.planned if path.is_file() or urls.holder(path)]
         inputs = [path for path in run.sources if path != job.pipeline]
     return StepResult(
         figures_of(call.given.document),

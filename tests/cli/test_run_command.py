@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 from command_page import REGISTERED
 
+from camcal import urls
 from camcal.cli.steps import StepCommands
 from camcal.options import declared
 from camcal.tasks.pipelines.reading import KEYS, STEP_KEYS
@@ -280,7 +281,10 @@ steps:
             CHAIN.replace("camera.yaml", "camra.yaml"),
             "7: steps.first.arguments: camra.yaml: no such file. Did you mean 'camera.yaml'?",
         ),
-        (CHAIN.replace("first.xml]", "-]"), "5: steps.first: OUT… -: a step writes to files"),
+        (
+            CHAIN.replace("first.xml]", "-]"),
+            "5: steps.first: OUT… -: a step reads and writes files, not standard streams",
+        ),
         (
             CHAIN.replace("first.xml]", "first.gif]"),
             "5: steps.first: first.gif: .gif is not written; use .yaml, .yml, .xml, .json",
@@ -320,6 +324,23 @@ def test_values_come_from_variables_the_command_line_and_the_environment_if_aske
     assert (
         "--set kid: the pipeline has no such variable. Did you mean 'kind'?" in states("--set", "kid=1", text=text)[1]
     )
+
+
+def test_steps_read_and_write_urls(states, folder):
+    pytest.importorskip("fsspec")
+    (folder / "store").mkdir()
+    shutil.copy(folder / "camera.yaml", folder / "store" / "lens.yaml")
+    store = f"file://{folder / 'store'}"
+    text = CHAIN.replace("camera.yaml", f"{store}/lens.yaml").replace("first.xml", f"{store}/first.xml")
+    assert states(text=text) == (0, {"first": "done", "second": "done"})
+    assert states() == (0, {"first": "up_to_date", "second": "up_to_date"})
+    assert f'"{store}/first.xml": "' in (folder / ".pipeline.state.json").read_text()
+    changed_input(folder)
+    shutil.copy(folder / "camera.yaml", folder / "store" / "lens.yaml")
+    urls.REMOTE.set(None)  # as in a process of its own, which knows nothing of these files
+    assert states() == (0, {"first": "done", "second": "done"})
+    urls.REMOTE.set(None)
+    assert "no such file. Did you mean" in states(text=text.replace("lens.yaml", "lns.yaml"))[1]
 
 
 def test_a_list_holds_what_the_star_of_a_pattern_stands_for_in_natural_order(states, folder):

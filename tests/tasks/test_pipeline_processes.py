@@ -10,6 +10,7 @@ import pytest
 from camcal.cli.steps import StepCommands, perform
 from camcal.errors import FileError
 from camcal.progress import SILENT
+from camcal.run.options import BatchOptions
 from camcal.tasks.pipelines.options import PipelineOptions
 from camcal.tasks.pipelines.run_pipeline import DONE, FAILED, NOT_RUN, run_pipeline
 
@@ -67,6 +68,15 @@ def test_steps_in_processes_write_the_same_bytes_as_one_by_one(pipeline):
     assert run(two, 2).count(DONE) == 6
     assert files_of(one) == files_of(two)
     assert len(files_of(one)) >= 9
+
+
+@pytest.mark.slow
+def test_a_cluster_writes_the_same_bytes(pipeline):
+    pytest.importorskip("distributed")
+    one, cluster = pipeline("one"), pipeline("cluster")
+    assert run(one, 1).count(DONE) == 6
+    assert run(cluster, 2, batch=BatchOptions(scheduler="dask://local")).count(DONE) == 6
+    assert files_of(one) == files_of(cluster)
 
 
 @pytest.mark.slow

@@ -290,12 +290,11 @@ class _Reader:
 
     def check(self, path: str, step: Step) -> None:
         """Note what is wrong with the options of a step together, and with the places of its outputs."""
-        for output, each in step.outputs.items():
-            if str(output) == STANDARD:
-                self.note(path, f"{each.key} -: a step writes to files")
-                return
-        if any(str(given) == STANDARD for given in step.inputs):
-            self.note(path, "'-': a step reads files, not standard input")
+        for each, value in step.given.items():
+            for text in [] if each.flag else each.texts(value):
+                if text == STANDARD and (each.positional or each.option.written):
+                    self.note(path, f"{each.key} -: a step reads and writes files, not standard streams")
+                    return
         try:
             step.options()
             for output, each in step.outputs.items():

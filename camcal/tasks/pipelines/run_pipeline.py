@@ -3,12 +3,12 @@
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import chdir, contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Protocol
 
-from camcal import files, system
+from camcal import files, system, urls
 from camcal.errors import EXIT_PRECEDENCE, FileError, InvalidInput
 from camcal.parsing import did_you_mean
 from camcal.progress import SILENT, Outcome, Progress
@@ -257,9 +257,11 @@ class _PipelineRun:
 
 
 def _result(outcome: Outcome[StepJob, StepResult]) -> StepResult:
-    """Return the result of a step, which is an error if its process ended."""
-    if outcome.value is not None:
-        return outcome.value
-    assert outcome.error is not None
-    error = outcome.error
-    return StepResult(error=StepError(error.exit_code, error.kind, error.message))
+    """Return the result of a step, which is an error if its process ended or its files are not on this machine."""
+    error, result = outcome.error, outcome.value or StepResult()
+    unseen = [path for path in result.outputs if not path.exists() and urls.holder(path) is None]
+    if error is None and unseen:
+        error = FileError("was written by a worker, but not into a shared folder", where=str(unseen[0]))
+    if error is None:
+        return result
+    return replace(result, error=StepError(error.exit_code, error.kind, error.message, error.where))

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import camcal
-from camcal import files
+from camcal import files, urls
 from camcal.errors import CamcalError, FileError, in_one_line
 from camcal.formats import documents
 from camcal.messages import Message, as_data, counted
@@ -20,7 +20,7 @@ from camcal.progress import SILENT, Progress
 from camcal.run import fingerprint
 from camcal.run.fanout import fan_out
 from camcal.run.outputs import listed, says_camcal
-from camcal.tasks.pipelines.step import Figure, Step, StepResult, below_here
+from camcal.tasks.pipelines.step import Figure, Step, StepResult, below_here, name_of
 
 FORMAT = "camcal/run-state/1"
 MISSING = ""  # in the place of the hash of a file that is not there
@@ -52,7 +52,7 @@ class StepRecord:
             tuple(Message(each["code"], each["text"], each["values"], each["where"]) for each in found)
             for found in (self.warnings, self.failures)
         )
-        return StepResult(self.figures, warnings, failures, outputs=tuple(map(Path, self.outputs)))
+        return StepResult(self.figures, warnings, failures, outputs=tuple(map(_path_of, self.outputs)))
 
 
 class Hashes:
@@ -62,19 +62,23 @@ class Hashes:
         self.known: dict[Path, tuple[tuple[int, int, int], str]] = {}
 
     def of(self, paths: Iterable[Path], progress: Progress = SILENT) -> dict[str, str]:
-        """Return the hash of every file by its path; MISSING for one that cannot be read."""
+        """Return the hash of every file by its name; MISSING for one that cannot be read."""
         stamps = {path: _stamp(path) for path in paths}
-        new = [path for path, stamp in stamps.items() if stamp and self.known.get(path, (None,))[0] != stamp]
+        new = [path for path, stamp in stamps.items() if stamp and not self._is_known(path, stamp)]
         work = fan_out(
             fingerprint.of_file, new, jobs=1 if len(new) < _FEW else None, what="comparing", progress=progress
         )
-        for outcome in work:
-            if (stamp := stamps[outcome.item]) is not None and outcome.value is not None:
-                self.known[outcome.item] = stamp, outcome.value
+        with urls.item():
+            for outcome in work:
+                if (stamp := stamps[outcome.item]) is not None and outcome.value is not None:
+                    self.known[outcome.item] = stamp, outcome.value
         return {
-            path.as_posix(): self.known[path][1] if stamp and path in self.known else MISSING
+            name_of(path): self.known[path][1] if stamp and path in self.known else MISSING
             for path, stamp in stamps.items()
         }
+
+    def _is_known(self, path: Path, stamp: tuple[int, int, int]) -> bool:
+        return urls.holder(path) is None and path in self.known and self.known[path][0] == stamp
 
 
 def _stamp(path: Path) -> tuple[int, int, int] | None:
@@ -133,13 +137,14 @@ class State:
         return self._changed_file(record, inputs, progress)
 
     def _changed_file(self, record: StepRecord, inputs: Iterable[Path], progress: Progress) -> str | None:
-        now = {below_here(path) for path in inputs} | set(map(Path, record.inputs))
-        found = self.hashes.of(sorted(now), progress)
+        now = {name_of(path): path for path in inputs}
+        now |= {name: _path_of(name) for name in record.inputs if name not in now}
+        found = self.hashes.of(sorted(now.values()), progress)
         paths = [path for path, content in found.items() if record.inputs.get(path, MISSING) != content]
         if paths:
             kind = "new" if paths[0] not in record.inputs else "gone" if found[paths[0]] == MISSING else "changed"
             return f"{_and_more(paths, 'file')} {kind}"
-        found = self.hashes.of(map(Path, record.outputs), progress)
+        found = self.hashes.of(map(_path_of, record.outputs), progress)
         paths = [path for path, content in record.outputs.items() if found[path] != content]
         if paths:
             return f"{_and_more(paths, 'file')} {'missing' if found[paths[0]] == MISSING else 'changed'}"
@@ -157,6 +162,15 @@ def _records(path: Path) -> dict[str, StepRecord]:
         raise FileError(
             "is not the state of a pipeline; move it, or choose another --state", where=str(path)
         ) from error
+
+
+def _path_of(name: str) -> Path:
+    """Return the path of a file by its name in the state."""
+    if "://" not in name:
+        return Path(name)
+    from camcal.run import remote
+
+    return Path(remote.given(name))
 
 
 def _text(record: StepRecord) -> str:

@@ -6,6 +6,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from camcal import urls
 from camcal.messages import Message
 from camcal.options import Declared, assembled, declared
 from camcal.run.option_paths import inputs_of, outputs_of
@@ -40,7 +41,8 @@ class Step:
     @cached_property
     def settings(self) -> dict[str, list[str]]:
         """The words that give every option that the file sets and a result may depend on."""
-        return {each.key: each.words(value) for each, value in self.given.items() if _counts(each)}
+        given = {each.key: each.words(value) for each, value in self.given.items() if _counts(each)}
+        return {key: [urls.named(word) for word in words] for key, words in given.items()}
 
     @cached_property
     def inputs(self) -> tuple[Path, ...]:
@@ -138,6 +140,11 @@ def below_here(path: Path) -> Path:
     """Return a path relative to the working directory, if it is below that, else as an absolute one."""
     place, here = path.absolute(), Path.cwd()
     return place.relative_to(here) if place.is_relative_to(here) else place
+
+
+def name_of(path: Path) -> str:
+    """Return the name of a file in the state and in documents: relative to the working directory, or its URL."""
+    return urls.named(below_here(path).as_posix())
 
 
 def families(steps: Sequence[Step]) -> dict[str, list[Step]]:

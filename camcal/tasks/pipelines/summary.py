@@ -9,7 +9,7 @@ from camcal.errors import EXIT_BUG, EXIT_PRECEDENCE, CamcalError
 from camcal.messages import counted
 from camcal.report.table import Column
 from camcal.tasks.pipelines.run_pipeline import DONE, FAILED, NOT_RUN, UP_TO_DATE, WOULD_RUN, PipelineReport, StepReport
-from camcal.tasks.pipelines.step import families
+from camcal.tasks.pipelines.step import families, name_of
 
 COLUMNS = (Column("step"), Column("state"), Column("result", wraps=True))
 PLANNED_COLUMNS = (Column("step"), Column("state"), Column("reason", wraps=True))
@@ -141,7 +141,7 @@ def _plain(each: StepReport) -> dict[str, Any]:
         "failed": list(result.failed),
         "failures": messages.as_data(result.failures),
         "warnings": messages.as_data(result.warnings),
-        "outputs": [path.as_posix() for path in result.outputs],
+        "outputs": [name_of(path) for path in result.outputs],
         "figures": dict(result.figures),
     }
 
