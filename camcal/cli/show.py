@@ -5,16 +5,16 @@ import os
 import re
 import shutil
 import sys
-import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TextIO
+from typing import Any, TextIO
 
 from camcal.cli.kept_output import KEPT
 from camcal.cli.plain_data import plain
+from camcal.cli.progress_bar import ProgressBar
 from camcal.errors import FileError, in_one_line, reason
 from camcal.files import STANDARD
 from camcal.messages import Message, as_data, counted
@@ -22,16 +22,12 @@ from camcal.progress import Item, Outcome, Progress, Silent
 from camcal.report.table import Column, table_lines, wrapped
 from camcal.urls import named
 
-if TYPE_CHECKING:
-    from rich.progress import Progress as Bar
-
 DO_NOT_TRUST = "DO NOT TRUST: "
 TRUSTWORTHY = "Calibration is trustworthy"
 LISTED = 10  # rows and lines of a list, unless all are asked for
 
 _BOLD_GREEN, _BOLD_RED, _PLAIN = "\x1b[1;32m", "\x1b[1;31m", "\x1b[0m"
 _NARROWEST = 40  # cells: no line is made shorter
-_REDRAW_S = 0.1
 _LONGEST = 4000  # characters of a line on stderr
 _QUOTED = 100  # characters of a quotation that is shortened
 _QUOTATION = re.compile(r"""(['"])((?:(?!\1).){200,})\1""")
@@ -314,49 +310,15 @@ class _Warnings(Silent):
         warning(message)
 
 
-class _Terminal:
-    """A progress bar on stderr, drawn when items are done and not by a thread of its own."""
-
-    def __init__(self) -> None:
-        self.bar: Bar | None = None
-        self.drawn = 0.0
-
-    def start(self, what: str, total: int | None) -> None:
-        from rich import progress as rich
-        from rich.console import Console
-
-        columns = (rich.TextColumn("{task.description}", markup=False), rich.BarColumn(), rich.MofNCompleteColumn())
-        self.bar = rich.Progress(
-            *columns,
-            rich.TimeRemainingColumn(),
-            console=Console(stderr=True),
-            auto_refresh=False,
-            transient=True,
-            redirect_stdout=False,
-            redirect_stderr=False,
-        )
-        self.bar.add_task(what, total=total)
-        self.bar.start()
-
-    def advance(self, count: int = 1) -> None:
-        if self.bar is None:
-            return
-        self.bar.advance(self.bar.task_ids[0], count)
-        if time.monotonic() - self.drawn > _REDRAW_S:
-            self.bar.refresh()
-            self.drawn = time.monotonic()
-
-    def finish(self) -> None:
-        if self.bar is not None:
-            self.bar.stop()
-            self.bar = None
+class _Terminal(ProgressBar):
+    """A progress bar, and warnings above it."""
 
     def warn(self, message: Message) -> None:
         if self.bar is None:
             warning(message)
             return
         for line in _lines("warning", str(message)) if _is_new(message) else ():
-            self.bar.console.print(line, markup=False, highlight=False, soft_wrap=True)
+            self.print_above(line)
 
 
 def _complain(kind: str, message: str) -> None:

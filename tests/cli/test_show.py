@@ -1,11 +1,15 @@
 """What reaches stdout and stderr."""
 
 import json
+import re
+import time
 from pathlib import Path
 
 import numpy as np
+import pytest
 
-from camcal.cli import show
+from camcal.cli import progress_bar, show
+from camcal.cli.progress_bar import pace
 from camcal.messages import Message
 
 
@@ -64,6 +68,32 @@ def test_a_bar_is_drawn_on_a_terminal_only(capsys, monkeypatch):
     assert "3/3" in drawn
     assert "camcal: warning: careful [b]" in drawn
     assert work_with(show.progress(quiet=True), capsys) == "camcal: warning: careful [b]\n"
+
+
+@pytest.mark.parametrize(
+    ("speed", "left_s", "words"),
+    [
+        (None, None, ""),
+        (123.4, 3.2, "123/s, 0:00:03 left"),
+        (0.25, 3600, "4 s each, 1:00:00 left"),
+        (16.0, None, "16/s"),  # nobody knows how many frames a video has
+    ],
+)
+def test_a_bar_says_how_fast_the_work_is_and_how_long_it_takes(speed, left_s, words):
+    assert pace(speed, left_s) == words
+
+
+def test_the_rate_is_drawn_beside_the_bar(capsys, monkeypatch):
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True)
+    monkeypatch.setattr(progress_bar, "_REDRAW_S", 0.0)
+    monkeypatch.setenv("TERM", "xterm")
+    progress = show.progress(quiet=False)
+    progress.start("detect", 9)
+    for _ in range(3):
+        time.sleep(0.01)
+        progress.advance()
+    progress.finish()
+    assert re.search(r"3/9\x1b\[0m \d+\.?\d*/s, 0:00:0\d left", capsys.readouterr().err)
 
 
 def work_with(progress, capsys) -> str:
