@@ -5,8 +5,6 @@ from dataclasses import asdict
 from math import isnan
 from typing import Any
 
-import numpy as np
-
 from camcal.report.table import Column
 from camcal.report.uncertain import value_and_std
 from camcal.stereo.pair.alignment import LARGEST_CORRECTION, NEGLIGIBLE, WORTH_RECTIFYING, Measured
@@ -70,11 +68,11 @@ def check_row(check: PairCheck) -> list[object]:
 def headline(check: PairCheck) -> str:
     """Return the residual across the baseline in a line."""
     residual, line = check.residual, line_of(check)
-    features = f"{len(residual.dy)} inlier features of {residual.seen}"
+    features = f"{residual.agreeing} inlier features of {residual.seen}"
     if not residual.rms:
         return f"{line}s do not differ ({features})"
     if residual.trend.largest > LARGEST_CORRECTION:  # beyond it a plane over the image describes nothing
-        return f"{line}s differ by up to {np.abs(residual.dy).max():.0f} px ({features})"
+        return f"{line}s differ by up to {residual.largest:.0f} px ({features})"
     return (
         f"{line}s differ by {_signed(residual.median)} px (median of {features}), RMS {residual.rms:.2f} px, "
         f"95 % within {residual.p95:.2f} px"
@@ -129,7 +127,7 @@ def plain(check: PairCheck) -> dict[str, Any]:
     return {
         "size": residual.size[::-1] if check.upright else residual.size,
         "axis": AXES[int(check.upright)],
-        "features": {"seen": residual.seen, "agreeing": len(residual.dy)},
+        "features": {"seen": residual.seen, "agreeing": residual.agreeing},
         "rows_px": {
             "median": _plain(residual.median),
             "rms": residual.rms,

@@ -3,7 +3,7 @@
 Rows are compared by features, or in a tenth of the time by corners of the left image followed into the right one.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import sqrt
 from typing import NamedTuple
 
@@ -92,11 +92,11 @@ class Residual:
     """How far the rows of the features that both images show are off.
 
     pixels: (N, 2) of the left image. dy: (N,) row in the right image minus row in the left one, pixels. disparity: (N,)
-    column in the left minus column in the right one, pixels. Matches that contradict the rest are left out; `seen` is
-    their number with those. scatter: standard deviation about the trend, pixels. convergence: dy per pixel of
-    disparity, None where disparities hardly vary; not 0 where the cameras do not stand side by side along the rows.
-    rows: the affine map (3,) that gives dy as rows[0] u + rows[1] v + rows[2] for pixel (u, v) of the right image, were
-    its rows those of the left one.
+    column in the left minus column in the right one, pixels. Matches that contradict the rest are left out; `agreeing`
+    is their number without those, `seen` with them. largest: of |dy|, pixels. scatter: standard deviation about the
+    trend, pixels. convergence: dy per pixel of disparity, None where disparities hardly vary; not 0 where the cameras
+    do not stand side by side along the rows. rows: the affine map (3,) that gives dy as rows[0] u + rows[1] v + rows[2]
+    for pixel (u, v) of the right image, were its rows those of the left one.
     """
 
     size: tuple[int, int]
@@ -104,6 +104,8 @@ class Residual:
     dy: Array
     disparity: Array
     seen: int
+    agreeing: int
+    largest: float
     median: Measured
     rms: float
     p95: float
@@ -123,6 +125,10 @@ class Residual:
     def partners(self) -> Array:
         """Where the pixels are in the right image, (N, 2) pixels."""
         return np.asarray(self.pixels + np.column_stack([-self.disparity, self.dy]))
+
+    def figures(self) -> "Residual":
+        """Return the figures without the features, of which N is 0."""
+        return replace(self, pixels=np.empty((0, 2)), dy=np.empty(0), disparity=np.empty(0))
 
 
 def vertical_residual(left: Array, right: Array) -> Residual:
@@ -172,6 +178,8 @@ def residual_of(matches: Matches) -> Residual:
         dy=off,
         disparity=disparity[kept],
         seen=len(dy),
+        agreeing=len(off),
+        largest=float(np.abs(off).max()),
         median=Measured(float(np.median(off)), _std_of_median(off)),
         rms=float(np.sqrt(np.mean(off**2))),
         p95=float(np.quantile(np.abs(off), 0.95)),

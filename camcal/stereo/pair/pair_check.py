@@ -1,6 +1,6 @@
 """The check of two images as a rectified pair: rows, order, exposure and range of disparities."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import degrees
 
 import numpy as np
@@ -59,26 +59,25 @@ class PairCheck:
 
     failure: SWAPPED, IDENTICAL, PERIODIC or None. exposure: None where too little is
     neither black nor white. disparities: (N,) pixels, spread over the left image; empty, and searched None, where too
-    little of the images can be matched. searched: the range a search for disparities would take, pixels. upright: the
-    cameras are above each other, and what stands here as rows are the columns of the images.
+    little of the images can be matched. disparity: the range that 98 % of them lie in, pixels. searched: the range a
+    search for disparities would take, pixels. upright: the cameras are above each other, and what stands here as rows
+    are the columns of the images.
     """
 
     residual: Residual
     failure: Message | None
     exposure: Exposure | None
     disparities: Array
+    disparity: tuple[float, float]
     searched: tuple[int, int] | None
     upright: bool = False
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "disparities", readonly(self.disparities, (None,), "disparities", np.float32))
 
-    @property
-    def disparity(self) -> tuple[float, float]:
-        """The range that 98 % of the disparities lie in, pixels."""
-        values = self.disparities if self.disparities.size else self.residual.disparity
-        low, high = np.quantile(values, [_TAIL, 1 - _TAIL])
-        return float(low), float(high)
+    def figures(self) -> "PairCheck":
+        """Return the figures without the features and disparities behind them, for lists of many pairs."""
+        return replace(self, residual=self.residual.figures(), disparities=np.empty(0, np.float32))
 
 
 def check_pair(left: Array, right: Array, farthest: float = 0.0, *, upright: bool = False) -> PairCheck:
@@ -100,12 +99,15 @@ def check_pair(left: Array, right: Array, farthest: float = 0.0, *, upright: boo
         )
     residual = residual_of(matches)
     coarse = coarse_map(left, right)
+    disparities = coarse.disparities[np.isfinite(coarse.disparities)]
+    low, high = np.quantile(disparities if disparities.size else residual.disparity, [_TAIL, 1 - _TAIL])
     periodic = coarse.periodic and residual.trend.largest <= LARGEST_CORRECTION  # rows far off match by chance
     return PairCheck(
         residual,
         PERIODIC if periodic else failure_of(residual, farthest),
         exposure_of(left, right, residual),
-        coarse.disparities[np.isfinite(coarse.disparities)],
+        disparities,
+        (float(low), float(high)),
         range_in(coarse, left.shape[1]),
         upright,
     )

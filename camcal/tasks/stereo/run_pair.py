@@ -106,7 +106,8 @@ class PairRun:
         page = _write_page(places, capture.name) if cloud.points else None
         warnings = (*doubts, *matched.warnings, *heard.warnings)
         named = capture._replace(frames=None)  # frames would be kept for as long as the report is
-        return RunPair(named, places, check, matched.figures, cloud, page, warnings, matched.failures)
+        figures = None if check is None else check.figures()
+        return RunPair(named, places, figures, matched.figures, cloud, page, warnings, matched.failures)
 
     def _rectified(self, capture: Capture) -> PairImages:
         sources = (capture.left, capture.right)

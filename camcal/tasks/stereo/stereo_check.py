@@ -27,17 +27,22 @@ from camcal.tasks.stereo.rectified_pair import RectifiedPair, pair_of, warn_of_f
 from camcal.tasks.stereo.rig_pair import RigPair, unrectified_pair
 
 _SUFFIX = "_check.png"
+_STEP_PX = 1e-3  # of the row offsets that all pairs together are judged by
 
 Pair = tuple[Path, Path]
 
 
 @dataclass(frozen=True, eq=False)
 class CheckedPair:
-    """A pair, what was found of it, and its picture if one was asked for."""
+    """A pair, the figures of what was found of it, and its picture if one was asked for.
+
+    offsets: by how much the rows of its features are off, as they occur: (N, 2) multiples of `_STEP_PX`, and counts.
+    """
 
     left: Path
     right: Path
     check: PairCheck
+    offsets: Array
     picture: Path | None
 
 
@@ -84,15 +89,30 @@ def overall(outcomes: Sequence[Outcome[Pair, CheckedPair]]) -> Overall | None:
     checked = [outcome.value for outcome in outcomes if outcome.value is not None]
     if not checked:
         return None
-    off = np.concatenate([pair.check.residual.dy for pair in checked])
+    residuals = [pair.check.residual for pair in checked]
+    features = sum(residual.agreeing for residual in residuals)
+    steps, counts = _counted(np.concatenate([pair.offsets for pair in checked]))
+    sizes, of_sizes = _counted(np.column_stack([np.abs(steps), counts]))
     return Overall(
         len(checked),
-        len(off),
-        float(np.median(off)),
-        float(np.sqrt(np.mean(off**2))),
-        float(np.quantile(np.abs(off), 0.95)),
+        features,
+        _STEP_PX * _quantile(steps, counts, 0.5),
+        float(np.sqrt(sum(residual.agreeing * residual.rms**2 for residual in residuals) / features)),
+        _STEP_PX * _quantile(sizes, of_sizes, 0.95),
         max(checked, key=lambda pair: pair.check.residual.rms).left,
     )
+
+
+def _counted(rows: Array) -> tuple[Array, Array]:
+    """Return the different values of rows (N, 2) of values and counts, in order, and how often each occurs."""
+    values, members = np.unique(rows[:, 0], return_inverse=True)
+    return values, np.bincount(members.ravel(), rows[:, 1])
+
+
+def _quantile(values: Array, counts: Array, share: float) -> float:
+    """Return the smallest of values in order that is not exceeded by this share of all."""
+    reached = np.cumsum(counts)
+    return float(values[np.searchsorted(reached, share * reached[-1])])
 
 
 def require_good(outcomes: Sequence[Outcome[Pair, CheckedPair]], max_rms: float | None) -> None:
@@ -144,7 +164,9 @@ def _check_files(
     picture = pictures.get(pair[0])
     if picture is not None:
         files.write_bytes(picture, picture_of(check, _gray_pair(images.left, images.right)[0]))
-    return CheckedPair(left, right, check, picture)
+    steps, counts = np.unique(np.rint(check.residual.dy / _STEP_PX).astype(np.int32), return_counts=True)
+    offsets = np.column_stack([steps, counts.astype(np.int32)])
+    return CheckedPair(left, right, check.figures(), offsets, picture)
 
 
 def check_images(images: PairImages) -> PairCheck:

@@ -1,0 +1,91 @@
+"""Memory that commands take for many images: it grows by a few kilobytes of records for each, never by its pixels.
+
+What Python and numpy allocate is counted, in this process. Not shown here: memory of worker processes, each of which
+has one item in flight, and of libraries below numpy.
+"""
+
+import gc
+import os
+import tracemalloc
+from pathlib import Path
+
+import pytest
+
+from camcal.cli.main import app
+
+BOARD = "chessboard:9x6:25mm"
+FEW, MANY = 6, 30
+PER_ITEM = 40_000  # bytes; the smallest image here has 76 800 pixels
+
+pytestmark = pytest.mark.slow
+
+COMMANDS = {
+    "demosaic": "demosaic {raw} -o {out} --pattern RGGB",
+    "undistort": "undistort {scene}/rig.yaml#left {left} -o {out}",
+    "undistort in threads": "undistort {scene}/rig.yaml#left {left} -o {out} --jobs 2",
+    "detect": "detect {board} -o {out}/corners.csv --board chessboard:9x6:25mm",
+    "detect --draw": "detect {board} -o {out}/corners.csv --board chessboard:9x6:25mm --draw {out}",
+    "pnp": "pnp {once}/truth.yaml {board} -o {out}/poses.yaml --board chessboard:9x6:25mm",
+    "stereo rectify": "stereo rectify {scene}/rig.yaml {left} {right} -o {out}",
+    "stereo check": "stereo check {left} {right}",
+    "stereo disparity": "stereo disparity {left} {right} {scene}/rig.yaml -o {out} --quality fast --vis",
+    "stereo cloud": "stereo cloud {maps} {left} {scene}/rig.yaml -o {out}",
+    "stereo cloud of pairs": "stereo cloud {left} {right} {scene}/rig.yaml -o {out} --quality fast",
+    "stereo eval": "stereo eval {maps} {maps} -o {out}",
+    "stereo eval --figures": "stereo eval {maps} {maps} -o {out} --figures {out}/figures",
+    "stereo run": "stereo run {scene}/rig.yaml {left} {right} -o {out} --quality fast",
+}
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory) -> Path:
+    """A folder with a rectified pair and its rig, a photograph of a board with its camera, and a raw frame."""
+    folder = tmp_path_factory.mktemp("made")
+    call("simulate", "--stereo", "-o", folder / "scene", "--size", "320x240")
+    call("simulate", BOARD, "-o", folder / "once", "--size", "640x480", "--views", 1)
+    call("simulate", BOARD, "-o", folder / "raw", "--size", "640x480", "--views", 1, "--raw", "RGGB")
+    return folder
+
+
+def call(*words: object) -> None:
+    with pytest.raises(SystemExit) as ended:
+        app([*map(str, words), "--quiet"])
+    assert not ended.value.code, words
+
+
+def repeated(made: Path, folder: Path, count: int) -> dict[str, Path]:
+    """Return folders with so many copies of every file."""
+    sources = {
+        "left": made / "scene/left/000.png",
+        "right": made / "scene/right/000.png",
+        "maps": made / "scene/disparity/000.pfm",
+        "board": made / "once/images/view0000.png",
+        "raw": made / "raw/images/view0000.png",
+    }
+    for name, source in sources.items():
+        (folder / name).mkdir(parents=True)
+        for number in range(count):
+            os.link(source, folder / name / f"{number:04d}{source.suffix}")
+    return {name: folder / name for name in sources} | {"scene": made / "scene", "once": made / "once"}
+
+
+def peak_of(command: str, places: dict[str, Path], output: Path) -> int:
+    """Return the most bytes that a command held at once."""
+    words = command.format(**places, out=output).split()
+    often = gc.get_threshold()
+    gc.set_threshold(100, 2, 2)  # so that nothing counts that only waits to be collected
+    tracemalloc.start()
+    try:
+        call(*words, *(() if "--jobs" in words else ("--jobs", 1)))
+        return tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+        gc.set_threshold(*often)
+
+
+@pytest.mark.parametrize("command", COMMANDS.values(), ids=COMMANDS.keys())
+def test_memory_does_not_grow_by_the_pixels_of_the_images(made, tmp_path, command):
+    few, many = (repeated(made, tmp_path / str(count), count) for count in (FEW, MANY))
+    peak_of(command, few, tmp_path / "first")  # what is imported and kept by then
+    grown = peak_of(command, many, tmp_path / "many") - peak_of(command, few, tmp_path / "few")
+    assert grown < PER_ITEM * (MANY - FEW)
