@@ -6,7 +6,7 @@ from math import isfinite
 from typing import TYPE_CHECKING
 
 from camcal.cli import show
-from camcal.cli.command import Call, ImageCall
+from camcal.cli.call import Call, ImageCall
 from camcal.messages import counted
 from camcal.report.table import Column
 from camcal.tasks.calibration.options import CalibrateOptions, DetectOptions
@@ -29,13 +29,19 @@ def calibrate(options: CalibrateOptions, call: ImageCall) -> None:
     The shape of the board is estimated together with the lens, outliers are listed, and every value has a standard
     deviation.
     """
+    call.once(options, options.output, lambda: _calibrate(options, call), resume=options.batch.resume)
+
+
+def _calibrate(options: CalibrateOptions, call: ImageCall) -> None:
     from camcal.errors import ItemsFailed
     from camcal.tasks.calibration.calibrate import calibrate as run
     from camcal.tasks.calibration.calibrate import document, require_good
 
     report = run(options, call.progress)
     failures = () if options.require else report.assessment.failures  # which end the command with an error then
-    call.give(lambda: document(report, options), lambda: _show_calibration(report, options, call.verbose), failures)
+    call.give_found(
+        lambda: document(report, options), lambda: _show_calibration(report, options, call.verbose), failures
+    )
     require_good(report, options)
     if report.failed:
         raise ItemsFailed(
@@ -132,11 +138,15 @@ def detect(options: DetectOptions, call: ImageCall) -> None:
     listed with the reason. From videos, sharp frames with different views of the board are selected and listed.
     `camcal calibrate` accepts the table instead of the images.
     """
+    call.once(options, options.output, lambda: _detect(options, call), resume=options.batch.resume)
+
+
+def _detect(options: DetectOptions, call: ImageCall) -> None:
     from camcal.errors import ItemsFailed
     from camcal.tasks.calibration.detect import detect_images, document
 
     report = detect_images(options, call.progress)
-    call.give(lambda: document(report, options.output), lambda: _show_detections(report, options, call.verbose))
+    call.give_found(lambda: document(report, options.output), lambda: _show_detections(report, options, call.verbose))
     show.failed(report.failed)
     if report.failed:
         raise ItemsFailed(f"{counted(len(report.failed), 'image')} could not be read, the rest is written")

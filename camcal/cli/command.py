@@ -18,12 +18,10 @@ import typer
 from typer.core import TyperCommand
 
 from camcal.cli import examples, show
+from camcal.cli.call import Call
 from camcal.errors import InvalidInput
 from camcal.files import STANDARD
-from camcal.images import limits
-from camcal.messages import Message
-from camcal.options import GENERAL, Argument, Declared, Option, assembled, by_group, declared
-from camcal.progress import Progress
+from camcal.options import GENERAL, Argument, Declared, assembled, by_group, declared
 from camcal.run.options import located
 
 SETTINGS = "camcal.settings"  # where a context keeps the line of the settings file that each value came from
@@ -31,65 +29,7 @@ WRITE_SETTINGS = "--write-config"
 
 _CONTINUED = " \\"
 _OPTION = re.compile(r"(?<= )(-\S+) ")
-_MOST_PIXELS = 1e6  # millions; sides are 32-bit numbers
 _NEGATIVE = re.compile(r"-[0-9.]")
-
-
-@dataclass(frozen=True)
-class Call:
-    """How a command is called: what each of them takes beside the options of its task."""
-
-    command: str
-    json: Annotated[bool, Option("Print one JSON document on stdout and nothing else.", group=GENERAL)] = False
-    quiet: Annotated[bool, Option("Only warnings and errors.", group=GENERAL, names="--quiet -q")] = False
-    verbose: Annotated[bool, Option("Show all rows, columns and details.", group=GENERAL, names="--verbose -v")] = False
-
-    def prepare(self) -> None:
-        """Set what holds for the whole process."""
-
-    @property
-    def progress(self) -> Progress:
-        """What a task reports to."""
-        return show.progress(self.quiet)
-
-    def give(
-        self,
-        document: Callable[[], Mapping[str, Any]],
-        words: Callable[[], None],
-        failures: Sequence[Message] = (),
-    ) -> None:
-        """Print a result: as the one JSON document, or in words, or not at all.
-
-        failures: why it is not to be trusted; they go to stderr where there are no words, which say it themselves.
-        """
-        if self.json:
-            show.result(self.command, document())
-        elif not self.quiet:
-            words()
-            return
-        show.distrust(failures)
-
-
-@dataclass(frozen=True)
-class ImageCall(Call):
-    """How a command is called that decodes images."""
-
-    max_pixels: Annotated[
-        float | None,
-        Option(
-            "Refuse images of more megapixels before decoding; by default 300.",
-            metavar="MILLIONS",
-            group=GENERAL,
-        ),
-    ] = None
-
-    def prepare(self) -> None:
-        """Set how many pixels an image may have; every reader asks for it, and worker processes inherit it."""
-        if self.max_pixels is None:
-            return
-        if not 0 < self.max_pixels <= _MOST_PIXELS:
-            raise InvalidInput(f"--max-pixels {self.max_pixels:g}: more than 0 and at most {_MOST_PIXELS:g} million")
-        limits.set_max_pixels(round(self.max_pixels * 1e6))
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from typing import TYPE_CHECKING
 
 from camcal.cli import show
-from camcal.cli.command import Call
+from camcal.cli.call import Call
 from camcal.tasks.options import ConvertFileOptions
 
 if TYPE_CHECKING:

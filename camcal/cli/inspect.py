@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from camcal.cli import show
-from camcal.cli.command import ImageCall
+from camcal.cli.call import ImageCall
 from camcal.files import STANDARD
 from camcal.report.table import Column
 from camcal.tasks.options import CAMERA_SUFFIXES, InspectOptions

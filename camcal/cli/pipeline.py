@@ -6,7 +6,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from camcal.cli import show
-from camcal.cli.command import ImageCall
+from camcal.cli.call import ImageCall
 from camcal.tasks.pipelines.options import PipelineOptions
 
 if TYPE_CHECKING:

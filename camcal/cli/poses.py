@@ -3,7 +3,7 @@
 from typing import TYPE_CHECKING
 
 from camcal.cli import show
-from camcal.cli.command import Call, ImageCall
+from camcal.cli.call import Call, ImageCall
 from camcal.messages import counted
 from camcal.tasks.poses.options import PnpOptions
 from camcal.tasks.poses.smooth_options import SmoothOptions
@@ -21,12 +21,16 @@ def pnp(options: PnpOptions, call: ImageCall) -> None:
     camera_T_object transforms points of the object to the camera frame (x right, y down, z forward). Every pose has a
     covariance and, if a second pose fits nearly as well, that pose with its probability.
     """
+    call.once(options, options.output, lambda: _pnp(options, call), resume=options.detection.batch.resume)
+
+
+def _pnp(options: PnpOptions, call: ImageCall) -> None:
     from camcal.errors import ItemsFailed, NotConverged
     from camcal.tasks.poses.pnp import document
     from camcal.tasks.poses.pnp import pnp as run
 
     report = run(options, call.progress)
-    call.give(lambda: document(report), lambda: _show_poses(report, options, verbose=call.verbose))
+    call.give_found(lambda: document(report), lambda: _show_poses(report, options, verbose=call.verbose))
     if report.unsettled:
         raise NotConverged(f"these poses did not converge: {', '.join(map(str, report.unsettled[: show.LISTED]))}")
     report.require_good(options.gates)

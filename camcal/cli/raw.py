@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from camcal.cli import show
-from camcal.cli.command import ImageCall
+from camcal.cli.call import ImageCall
 from camcal.messages import counted
 from camcal.report.table import Column
 from camcal.tasks.raw.options import DemosaicOptions, SensorOptions

@@ -4,7 +4,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from camcal.cli import show
-from camcal.cli.command import ImageCall
+from camcal.cli.call import ImageCall
 from camcal.messages import counted
 from camcal.tasks.rigs.options import RigSettings, RigTaskOptions, StereoCalibrateOptions
 
@@ -23,14 +23,26 @@ def rig(options: RigTaskOptions, call: ImageCall) -> None:
     """
     from camcal.tasks.rigs.calibrate_rig import rig as run
 
-    _finish(run(options, call.progress), options.settings, call)
+    settings = options.settings
+    call.once(
+        options,
+        settings.output,
+        lambda: _finish(run(options, call.progress), settings, call),
+        resume=settings.batch.resume,
+    )
 
 
 def stereo_calibrate(options: StereoCalibrateOptions, call: ImageCall) -> None:
     """Calibrate a pair of cameras, left and right, from images of a board: 'camcal rig' for two cameras."""
     from camcal.tasks.rigs.calibrate_rig import stereo_calibrate as run
 
-    _finish(run(options, call.progress), options.settings, call)
+    settings = options.settings
+    call.once(
+        options,
+        settings.output,
+        lambda: _finish(run(options, call.progress), settings, call),
+        resume=settings.batch.resume,
+    )
 
 
 def _finish(report: "RigReport", settings: RigSettings, call: ImageCall) -> None:
@@ -39,7 +51,7 @@ def _finish(report: "RigReport", settings: RigSettings, call: ImageCall) -> None
     from camcal.tasks.rigs.calibrate_rig import document, require_good
 
     failures = () if settings.require else report.failures  # which end the command with an error then
-    call.give(lambda: document(report, settings), lambda: _show(report, settings, call.verbose), failures)
+    call.give_found(lambda: document(report, settings), lambda: _show(report, settings, call.verbose), failures)
     require_good(report, settings)
     if report.failed:
         raise ItemsFailed(

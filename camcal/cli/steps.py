@@ -8,7 +8,7 @@ from importlib import import_module
 from typing import Any, get_type_hints
 
 from camcal import files, urls
-from camcal.cli.command import ImageCall
+from camcal.cli.call import ImageCall
 from camcal.cli.kept_output import kept
 from camcal.cli.plain_data import plain
 from camcal.errors import EXIT_BUG, ItemsFailed, translated

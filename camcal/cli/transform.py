@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from camcal.cli import show
-from camcal.cli.command import Call
+from camcal.cli.call import Call
 from camcal.report.table import Column
 from camcal.tasks.frames.options import (
     AverageOptions,

@@ -8,7 +8,7 @@ ignored. When it is over, the lines are those of the files in natural order: not
 
 import os
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,10 +16,12 @@ from typing import NamedTuple
 
 from camcal import files, system, urls
 from camcal.errors import FileError, in_one_line, reason
+from camcal.run.fanout import fan_out
 
 MANIFEST = ".camcal-output"
 
 _CHUNK = 1 << 20
+_MANY = 8  # files that are better read by several threads
 _LINE = re.compile(r"([0-9a-f]{64})\t(\d+)\t([0-9a-f]{64}|)\t([^\t]*)\t(.+)", re.DOTALL)
 
 
@@ -91,6 +93,18 @@ def begins_with(path: Path, other: Path) -> bool:
             if whole.read(len(chunk)) != chunk:
                 return False
     return True
+
+
+def unchanged(known: Sequence[tuple[Path, Entry]]) -> list[bool]:
+    """Return of each of some files whether it has the content that is known of it."""
+    if len(known) < _MANY:
+        return list(map(_is_of, known))
+    return [outcome.value is True for outcome in fan_out(_is_of, known)]
+
+
+def _is_of(known: tuple[Path, Entry]) -> bool:
+    path, entry = known
+    return entry.is_of(path)
 
 
 @contextmanager

@@ -14,7 +14,7 @@ user did not choose.
 import os
 import re
 import stat
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from collections.abc import Set as AbstractSet
 from contextlib import contextmanager, suppress
 from functools import wraps
@@ -26,12 +26,10 @@ from camcal.errors import FileError, InvalidInput, in_one_line, reason
 from camcal.files import STANDARD
 from camcal.options import Declared, declared
 from camcal.run import manifest
-from camcal.run.fanout import fan_out
 from camcal.run.manifest import MANIFEST, Entry
 from camcal.run.option_paths import inputs_of, is_folder, outputs_of, refuse_one_place, require_folder
 
 _HEAD = 4096  # bytes in which a text says who wrote it
-_MANY = 8  # files that are better read by several threads
 _MARK = re.compile(rb'\A(?:%YAML[^\n]*\n---\n)?# (?:[^\n]*\b)?camcal\b|"(?:format|schema|tool)": "camcal\b')
 
 P = ParamSpec("P")
@@ -108,7 +106,8 @@ class Run:
     read, written, replaced: files by device and number; to be replaced is what stands in the place of an output.
     sources: the paths of what was read. planned: outputs, and the file that was in their place (None: none). intact:
     those of them that are as camcal left them. shortened: those that are shorter than that, and may be the beginning of
-    it. made: what was written.
+    it. made: what was written. results: those of a whole run, which are listed. found_before: images that an earlier
+    run has searched for this one.
     """
 
     def __init__(self) -> None:
@@ -126,7 +125,10 @@ class Run:
         self.intact: dict[Path, Entry] = {}
         self.shortened: set[Path] = set()
         self.made: dict[Path, Entry] = {}
+        self.results: dict[Path, Entry] = {}
+        self.found_before = 0
         self._examined: set[Path] = set()
+        self._unmade: set[Path] = set()
         self._lists: dict[Path, dict[str, Entry | None]] = {}
         self._has_options = False
 
@@ -225,7 +227,7 @@ class Run:
         """Find out which of some outputs are as camcal left them, as far as that is known."""
         known = {path: entry for path in paths if (entry := self._entry(path)) and path.is_file()}
         new = [item for item in known.items() if item[0].absolute() not in self._examined]
-        for (path, entry), is_intact in zip(new, _compared(new), strict=True):
+        for (path, entry), is_intact in zip(new, manifest.unchanged(new), strict=True):
             place = path.absolute()
             self._examined.add(place)
             if is_intact:
@@ -256,7 +258,7 @@ class Run:
         made = self.made[place] = completed(path, temporary, shortened=place in self.shortened)
         if self.resume and path.is_file() and made.is_of(path):
             return False
-        if self._entry(path) is not None:  # a kill is to leave no hash of the old file
+        if place in self._unmade or self._entry(path) is not None:  # a kill is to leave no hash of the old file
             manifest.change(path.parent, {path.name: None})
         return True
 
@@ -267,12 +269,15 @@ class Run:
     def _list(self, paths: Iterable[Path]) -> None:
         """List outputs in their folders before they are written, so that a killed run leaves none unlisted.
 
-        What is known of their contents is left out until they are written, or kept if they may stay as they are.
+        What is known of their contents is left out until they are written, or kept if they may stay as they are. A
+        resumed run lists those that are not there once they are made: perhaps nothing is left to do.
         """
         folders: dict[Path, dict[str, Entry | None]] = {}
         for path in paths:
             place = path.absolute()
-            if self.planned[place] is None or self._is_listed(path):  # others' files are not listed before replaced
+            if self.planned[place] is None and self.resume:
+                self._unmade.add(place)
+            elif self.planned[place] is None or self._is_listed(path):  # others' files are not before they are replaced
                 stays = place in self.shortened or (self.resume and place in self.intact)
                 folders.setdefault(path.parent, {})[path.name] = self._entry(path) if stays else None
         for folder, names in folders.items():
@@ -298,7 +303,9 @@ class Run:
         folders: dict[Path, tuple[dict[str, Entry | None], set[str]]] = {}
         for path in self.planned.keys() - self.unlisted:
             added, removed = folders.setdefault(path.parent, ({}, set()))
-            if self._has_to_be_listed(path):
+            if path in self.results:
+                added[path.name] = self.results[path]
+            elif self._has_to_be_listed(path):
                 added[path.name] = self.made.get(path, self._entry(path))
             else:
                 removed.add(path.name)
@@ -350,18 +357,6 @@ def changed(path: Path) -> InvalidInput:
 
 def _foreign(path: Path, why: str) -> InvalidInput:
     return InvalidInput(f"exists and {why}; use --overwrite or another output", where=str(path))
-
-
-def _compared(known: Sequence[tuple[Path, Entry]]) -> list[bool]:
-    """Return of each of some files whether it has the content that is known of it."""
-    if len(known) < _MANY:
-        return [entry.is_of(path) for path, entry in known]
-    return [outcome.value is True for outcome in fan_out(_is_of, known)]
-
-
-def _is_of(known: tuple[Path, Entry]) -> bool:
-    path, entry = known
-    return entry.is_of(path)
 
 
 def _require_writable(path: Path) -> None:

@@ -8,13 +8,12 @@ is read, the next run makes the item again.
 import json
 import os
 from collections import deque
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from collections.abc import Set as AbstractSet
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
-from typing import Any, Generic
+from typing import Any, Generic, Protocol
 
 from camcal import files
 from camcal.errors import FileError
@@ -126,6 +125,98 @@ class _Recorded(Generic[Item, Value]):
         return MadeItem(value, fingerprint_before, tuple(ledger.made.items()))
 
 
+class Memory(Protocol[Item, Value]):
+    """What earlier runs left of the items of a batch, and where this run leaves the same."""
+
+    def made_from(self, item: Item) -> str:
+        """Return the fingerprint of an item; raises FileError if an input cannot be read."""
+
+    def holds(self, item: Item) -> bool:
+        """Return whether something is known of an item, so that it is worth while to ask what it is made from."""
+
+    def reuse(self, item: Item, fingerprint_now: str) -> Outcome[Item, Value] | None:
+        """Return what came of an item in an earlier run, None if that is not complete or does not match."""
+
+    def release(self, left: Sequence[Item], *, claimed: bool) -> None:
+        """Note that items are about to be made; claimed: their outputs are listed already."""
+
+    def record(self, item: Item, made: MadeItem[Value]) -> None:
+        """Keep what came of an item."""
+
+
+Fan = Callable[[Iterable[Item]], Iterator[Outcome[Item, MadeItem[Value]]]]
+
+
+def remembering(
+    memory: Memory[Item, Value],
+    every: Iterable[Item],
+    fan: "Fan[Item, Value]",
+    *,
+    jobs: int | None,
+    batch: BatchOptions,
+    progress: Progress,
+) -> Iterator[Outcome[Item, Value]]:
+    """Yield what became of every item in their order: with batch.resume what is remembered, else what `fan` makes."""
+    if not isinstance(every, Sequence):
+        yield from _streamed(memory, every, fan, reuse=batch.resume)
+        return
+    reused: dict[int, Outcome[Item, Value]] = {}
+    if batch.resume:
+        known = [index for index, item in enumerate(every) if memory.holds(item)]
+        now = _fingerprints(memory, [every[index] for index in known], jobs, batch, progress)
+        found = {index: memory.reuse(every[index], made_from) for index, made_from in zip(known, now, strict=True)}
+        reused = {index: outcome for index, outcome in found.items() if outcome is not None}
+    left = [item for index, item in enumerate(every) if index not in reused]
+    memory.release(left, claimed=True)
+    made = fan(left) if left else iter(())
+    upcoming = next(made, None)
+    for index, item in enumerate(every):
+        if index in reused:
+            yield reused[index]
+        elif upcoming is not None and upcoming.item is item:  # others were not begun, after one that failed
+            yield _kept(memory, upcoming)
+            upcoming = next(made, None)
+
+
+def _fingerprints(
+    memory: Memory[Item, Value], items: Sequence[Item], jobs: int | None, batch: BatchOptions, progress: Progress
+) -> list[str]:
+    """Return what items are made from now; empty where an input cannot be read."""
+    if not items:
+        return []
+    here = replace(batch, scheduler=None, timeout=None, fail_fast=False)
+    compared = fan_out(memory.made_from, items, jobs=jobs, batch=here, what=CHECKING, progress=progress)
+    return [outcome.value or "" for outcome in compared]
+
+
+def _streamed(
+    memory: Memory[Item, Value], every: Iterable[Item], fan: "Fan[Item, Value]", *, reuse: bool
+) -> Iterator[Outcome[Item, Value]]:
+    """Yield what became of items that come one after another, such as frames, in their order."""
+    before: deque[Outcome[Item, Value] | None] = deque()  # None: the next one that is made
+
+    def left() -> Iterator[Item]:
+        for item in every:
+            before.append(memory.reuse(item, memory.made_from(item)) if reuse and memory.holds(item) else None)
+            if before[-1] is None:
+                memory.release([item], claimed=False)
+                yield item
+
+    for outcome in fan(left()):
+        while (reused := before.popleft()) is not None:
+            yield reused
+        yield _kept(memory, outcome)
+    yield from (reused for reused in before if reused is not None)
+
+
+def _kept(memory: Memory[Item, Value], outcome: Outcome[Item, MadeItem[Value]]) -> Outcome[Item, Value]:
+    made = outcome.value
+    if made is None:
+        return Outcome(outcome.item, error=outcome.error)
+    memory.record(outcome.item, made)
+    return Outcome(outcome.item, made.value)
+
+
 def resumable(
     function: Callable[[Item], Value],
     every: Iterable[Item],
@@ -146,111 +237,57 @@ def resumable(
     if not isinstance(run, Run):
         raise TypeError("only a task that is watched has outputs")
     recorded = _Recorded(function, items, run.shortened, batch.resume)
-    batch_record = _BatchRecord(run, items)
 
-    def work(left: Iterable[Item]) -> Iterator[Outcome[Item, MadeItem[Value]]]:
+    def fan(left: Iterable[Item]) -> Iterator[Outcome[Item, MadeItem[Value]]]:
         if alone:
             return (only_outcome(recorded, item, batch) for item in left)
         return fan_out(recorded, left, jobs=jobs, batch=batch, processes=processes, what=what, progress=progress)
 
-    if not isinstance(every, Sequence):
-        return batch_record.streamed(every, work, reuse=batch.resume)
-    if batch.resume:
-        here = replace(batch, scheduler=None, timeout=None, fail_fast=False)
-        batch_record.compare(every, partial(fan_out, jobs=jobs, batch=here, what=CHECKING, progress=progress))
-    return batch_record.sorted(every, work)
+    return remembering(_Listed(run, items), every, fan, jobs=jobs, batch=batch, progress=progress)
 
 
-_Work = Callable[[Iterable[Item]], Iterator[Outcome[Item, MadeItem[Value]]]]
-
-
-class _BatchRecord(Generic[Item, Value]):
-    """The record of a batch in the lists of its folders: what may be reused, and what is made."""
+class _Listed(Generic[Item, Value]):
+    """The outputs of items as the lists of their folders know them."""
 
     def __init__(self, run: Run, items: Items[Item, Value]) -> None:
         self.run = run
         self.items = items
-        self.fingerprints: dict[Path, str] = {}
+        self.made_from = items.made_from
 
-    def compare(self, every: Sequence[Item], each: Callable[..., Iterator[Outcome[Item, str]]]) -> None:
-        """Find out what the items whose outputs are intact would be made from now; `each` does so for all of them."""
-        known = [item for item in every if self._place(item) in self.run.intact]
-        for outcome in each(self.items.made_from, known) if known else ():
-            self.fingerprints[self._place(outcome.item)] = outcome.value or ""
+    def holds(self, item: Item) -> bool:
+        """See `Memory`."""
+        return self.run.known(self.items.outputs(item)[0]) is not None
 
-    def sorted(self, every: Sequence[Item], work: "_Work[Item, Value]") -> Generator[Outcome[Item, Value]]:
-        """Yield what became of the items of a list in their order."""
-        reused = [self._reused(item, self.fingerprints.get(self._place(item))) for item in every]
-        left = [item for item, outcome in zip(every, reused, strict=True) if outcome is None]
-        self._release(left)
-        made = work(left) if left else iter(())
-        found = next(made, None)
-        for item, outcome in zip(every, reused, strict=True):
-            if outcome is not None:
-                yield outcome
-            elif found is not None and found.item is item:  # others were not begun, after one that failed
-                yield self._recorded(found)
-                found = next(made, None)
-
-    def streamed(
-        self, every: Iterable[Item], work: "_Work[Item, Value]", *, reuse: bool
-    ) -> Generator[Outcome[Item, Value]]:
-        """Yield what became of items that come one after another, such as frames, in their order."""
-        before: deque[Outcome[Item, Value] | None] = deque()  # None: the next one that is made
-
-        def left() -> Iterator[Item]:
-            for item in every:
-                before.append(self._reused(item, self.items.made_from(item)) if reuse else None)
-                if before[-1] is None:
-                    self._release([item], new=True)
-                    yield item
-
-        for outcome in work(left()):
-            while (reused := before.popleft()) is not None:
-                yield reused
-            yield self._recorded(outcome)
-        yield from (reused for reused in before if reused is not None)
-
-    def _place(self, item: Item) -> Path:
-        return self.items.outputs(item)[0].absolute()
-
-    def _reused(self, item: Item, fingerprint_now: str | None) -> Outcome[Item, Value] | None:
-        """Return what came of an item in an earlier run, None if that is not complete or does not match."""
-        entry = self.run.known(self.items.outputs(item)[0])
+    def reuse(self, item: Item, fingerprint_now: str) -> Outcome[Item, Value] | None:
+        """See `Memory`."""
+        outputs = self.items.outputs(item)
+        entry = self.run.known(outputs[0])
         if entry is None or not entry.made_from or entry.made_from != fingerprint_now:
             return None
-        outputs = self.items.outputs(item)
         with suppress(KeyError, IndexError, TypeError, ValueError):  # a list that was changed by hand
             kept = json.loads(entry.result)
-            for number in kept["files"]:
-                known = self.run.known(outputs[number])
-                if known is None or known.made_from != entry.made_from:
-                    return None
-            value = records.of_plain(self.items.result, kept["value"], self.items.paths(item))
-            return Outcome(item, value, reused=True)
+            known = [self.run.known(outputs[number]) for number in kept["files"]]
+            if all(each is not None and each.made_from == entry.made_from for each in known):
+                value = records.of_plain(self.items.result, kept["value"], self.items.paths(item))
+                return Outcome(item, value, reused=True)
         return None
 
-    def _release(self, left: Iterable[Item], *, new: bool = False) -> None:
-        """Note that items are made again: from now on nothing is known of their files, whenever the run ends.
-
-        new: also list files that were not claimed and are not there yet.
-        """
+    def release(self, left: Sequence[Item], *, claimed: bool) -> None:
+        """See `Memory`; from now on nothing is known of the files, whenever the run ends."""
         folders: dict[Path, dict[str, Entry | None]] = {}
         for path in (path for item in left for path in self.items.outputs(item)):
-            if self.run.intact.pop(path.absolute(), None) is not None or (new and not path.exists()):
+            was_known = self.run.intact.pop(path.absolute(), None) is not None
+            if was_known or ((self.run.resume or not claimed) and not path.exists()):
                 folders.setdefault(path.parent, {})[path.name] = None
         for folder, names in folders.items():
             manifest.append(folder, names)
 
-    def _recorded(self, outcome: Outcome[Item, MadeItem[Value]]) -> Outcome[Item, Value]:
-        """Return what became of an item, after adding its files to the lists of their folders."""
-        made = outcome.value
-        if made is None:
-            return Outcome(outcome.item, error=outcome.error)
-        outputs = list(self.items.outputs(outcome.item))
+    def record(self, item: Item, made: MadeItem[Value]) -> None:
+        """See `Memory`."""
+        outputs = list(self.items.outputs(item))
         kept = {
             "files": [outputs.index(path) for path, _ in made.files],
-            "value": records.as_plain(made.value, self.items.paths(outcome.item)),
+            "value": records.as_plain(made.value, self.items.paths(item)),
         }
         folders: dict[Path, dict[str, Entry | None]] = {}
         for path, entry in made.files:
@@ -259,4 +296,3 @@ class _BatchRecord(Generic[Item, Value]):
         for folder, added in folders.items():
             with suppress(FileError):  # what was written is there, and would only be made again
                 manifest.append(folder, added)
-        return Outcome(outcome.item, made.value)

@@ -84,7 +84,7 @@ def test_json_is_the_only_thing_on_stdout(run, table, tmp_path):
         "within_views", "two_cameras", "rms_px",
         "sigma_px", "model_error_px", "degrees_of_freedom", "board", "board_shape", "views", "rejected", "uncertainty",
         "image_circle",
-        "refinement", "trustworthy", "failures", "candidates", "frames", "failed", "warnings",
+        "refinement", "trustworthy", "failures", "candidates", "frames", "failed", "reused", "warnings",
     ]  # fmt: skip
     assert document["schema"] == "camcal/calibrate/1"
     assert len(document["views"]) == 15

@@ -49,6 +49,7 @@ def test_json_is_one_document_with_its_schema_first(run, folder, tmp_path):
         "frames",
         "failed",
         "pictures",
+        "reused",
         "warnings",
     ]
     assert told["schema"] == "camcal/detect/1"

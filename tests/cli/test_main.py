@@ -15,7 +15,8 @@ import typer
 
 from camcal import __version__
 from camcal.cli import show
-from camcal.cli.command import Call, command
+from camcal.cli.call import Call
+from camcal.cli.command import command
 from camcal.cli.main import COMMANDS, Boundary, CommandGroup
 from camcal.cli.main import app as camcal_app
 from camcal.errors import (

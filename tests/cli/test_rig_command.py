@@ -134,6 +134,7 @@ def test_the_json_document(run, table, tmp_path):
         "failures",
         "frames",
         "failed",
+        "reused",
         "warnings",
     ]
     assert found["schema"] == "camcal/rig/1"

@@ -28,6 +28,7 @@ from camcal.quality.assess import Assessment, assess
 from camcal.quality.projection_uncertainty import ProjectionUncertainty, projection_uncertainty, too_uncertain
 from camcal.raw.detection_image import COLOURS
 from camcal.report.calibration import as_data, candidates_data, uncertainty_data
+from camcal.run.journal import journal_beside
 from camcal.run.outputs import writes
 from camcal.run.paths import split_address
 from camcal.targets.board import Board
@@ -90,7 +91,8 @@ def calibrate(options: CalibrateOptions, progress: Progress = SILENT) -> Calibra
 
     Raises InvalidInput, FileError, InsufficientData or NotConverged; nothing is written then.
     """
-    return calibrated(lambda: seen_of(options, options.board, progress), options, progress)
+    with journal_beside(options.output, options.batch):
+        return calibrated(lambda: seen_of(options, options.board, progress), options, progress)
 
 
 def seen_of(options: CalibrateOptions, board: Board | str | None, progress: Progress = SILENT) -> BoardViews:

@@ -15,7 +15,9 @@ from camcal.progress import SILENT, Progress, values_of, warn_of
 from camcal.raw.detection_image import is_raw, read_detection_image
 from camcal.raw.options import AS_IMAGES, ImageReadOptions
 from camcal.report.overlays import corner_overlay
+from camcal.run import fingerprint
 from camcal.run.fanout import fan_out
+from camcal.run.journal import Found, journal_beside
 from camcal.run.outputs import claim, writes
 from camcal.run.paths import Media, find_images, find_media, names_file, refuse_collisions, require_one
 from camcal.targets.board import CHARUCO, Board
@@ -25,6 +27,7 @@ from camcal.tasks.calibration.image_circle_of_views import circle_lines, with_ci
 from camcal.tasks.calibration.mixed_sizes import same_size, usual_size
 from camcal.tasks.calibration.options import DetectOptions
 from camcal.tasks.calibration.video_frames import (
+    Frame,
     FrameRecord,
     Video,
     as_data,
@@ -85,6 +88,11 @@ def detect_images(options: DetectOptions, progress: Progress = SILENT) -> Detect
     Raises InvalidInput, FileError if nothing can be read, InsufficientData if the board is nowhere; only pictures are
     drawn then.
     """
+    with journal_beside(options.output, options.batch):
+        return _detected(options, progress)
+
+
+def _detected(options: DetectOptions, progress: Progress) -> DetectReport:
     asked = _board(options)
     require_findable(asked, partial=options.parts)
     require_colours(asked, options.reading)
@@ -216,7 +224,8 @@ def _seen(
     """Return what images show, and why others could not be read."""
     work = partial(detect_file, reading=options.reading, parts=options.parts, hashed=True)
     tasks = [(path, board) for path in images]
-    outcomes = list(search(work, tasks, options.jobs, options.batch, "detecting", progress)) if images else []
+    found: Found[tuple[Path, Board], BoardDetection] = Found(_settings(options), _of_file, BoardDetection)
+    outcomes = list(search(work, tasks, options.jobs, options.batch, "detecting", progress, found)) if images else []
     errors = [outcome.error for outcome in outcomes if outcome.error is not None]
     return [outcome.value for outcome in outcomes if outcome.value is not None], errors
 
@@ -231,10 +240,28 @@ def _in_videos(
         # one outcome after another: each holds its frame
         work = partial(detect_frame, parts=options.parts)
         what = f"detecting in {video.path.name}"
-        for outcome in search(work, video.tasks([board]), options.jobs, options.batch, what, progress):
+        found: Found[tuple[str, Frame, Board], BoardDetection] = Found(_settings(options), _of_frame, BoardDetection)
+        for outcome in search(work, video.tasks([board]), options.jobs, options.batch, what, progress, found):
             views += [outcome.value] if outcome.value else []
             errors += [outcome.error] if outcome.error else []
     return views, errors
+
+
+def _settings(options: DetectOptions) -> str:
+    return fingerprint.of_data([fingerprint.of_settings(options.reading), options.parts])
+
+
+def _of_file(task: tuple[Path, Board]) -> list[Path | str]:
+    """Return what is searched for a board: a file, by its name too, which the view has."""
+    path, board = task
+    return [path, path.as_posix(), repr(board)]
+
+
+def _of_frame(task: tuple[str, Frame, Board]) -> list[Path | str]:
+    """Return what is searched for a board: a frame, by its name too, and the one before, which tells of motion."""
+    name, frame, board = task
+    before = () if frame.before is None else (fingerprint.of_array(frame.before),)
+    return [name, fingerprint.of_array(frame.image.pixels), str(frame.image.orientation), *before, repr(board)]
 
 
 def document(report: DetectReport, output: Path | None) -> dict[str, Any]:

@@ -159,7 +159,7 @@ class DetectOptions(OptionsRecord):
     output: Annotated[Path | None, result_option(DETECTIONS)] = None
     recursive: Recursive = False
     jobs: Jobs = None
-    batch: Annotated[BatchOptions, Without(("resume",))] = DEFAULT_BATCH
+    batch: BatchOptions = DEFAULT_BATCH
     reading: Annotated[ImageReadOptions, Without(("colours",))] = AS_IMAGES
     frames: FrameOptions = BEST_FRAMES
     draw: Annotated[
@@ -228,7 +228,7 @@ class CalibrateOptions(OptionsRecord):
     image_size: ImageSize = None
     recursive: Recursive = False
     jobs: Jobs = None
-    batch: Annotated[BatchOptions, Without(("resume",))] = DEFAULT_BATCH
+    batch: BatchOptions = DEFAULT_BATCH
     reading: ImageReadOptions = AS_IMAGES
     frames: FrameOptions = BEST_FRAMES
     parts: Parts = False

@@ -21,6 +21,7 @@ from camcal.progress import Outcome, Progress
 from camcal.raw.detection_image import read_detection_image
 from camcal.raw.options import ImageReadOptions
 from camcal.run.fanout import fan_out
+from camcal.run.journal import Found, journaled
 from camcal.run.options import BatchOptions
 from camcal.targets.board import APRILGRID, ASYMMETRIC_CIRCLES, CHARUCO, CHESSBOARD, CIRCLES, Board
 from camcal.targets.checker.charuco import arrangements, ends_after, rows_seen
@@ -360,7 +361,13 @@ def search(
     batch: BatchOptions,
     what: str,
     progress: Progress,
+    found: Found[Source, Shown] | None = None,
 ) -> Iterator[Outcome[Source, Shown]]:
-    """Return an iterator with the outcome of every task in their order; one that hangs or crashes costs itself only."""
+    """Return an iterator with the outcome of every task in their order; one that hangs or crashes costs itself only.
+
+    found: how outcomes are kept in the journal of the command, None for not at all.
+    """
     timeout = None if jobs == 1 else TIMEOUT_S
+    if found is not None:
+        return journaled(work, tasks, found, jobs=jobs, batch=batch, what=what, progress=progress, timeout=timeout)
     return fan_out(work, tasks, jobs=jobs, batch=batch, processes=True, what=what, progress=progress, timeout=timeout)

@@ -19,7 +19,6 @@ from camcal.options import (
     Option,
     OptionsRecord,
     ValueType,
-    Without,
     separated,
 )
 from camcal.parsing import parse_number
@@ -87,7 +86,7 @@ class DetectionOptions(OptionsRecord):
     ] = False
     recursive: Recursive = False
     jobs: Jobs = None
-    batch: Annotated[BatchOptions, Without(("resume",))] = DEFAULT_BATCH
+    batch: BatchOptions = DEFAULT_BATCH
     repeated_ids: Annotated[
         str,
         Option(

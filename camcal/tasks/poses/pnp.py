@@ -24,6 +24,7 @@ from camcal.messages import Message, counted
 from camcal.progress import SILENT, Progress, warn_of
 from camcal.report import pose_words
 from camcal.report.overlays import Posed
+from camcal.run.journal import journal_beside
 from camcal.run.outputs import writes
 from camcal.tasks.calibration.board_views import is_table
 from camcal.tasks.given_camera import read_camera_file, require_no_image
@@ -67,6 +68,11 @@ def pnp(options: PnpOptions, progress: Progress = SILENT) -> PnpReport:
     Raises InvalidInput, FileError, or what kept the first image from a pose if none has one; nothing is written then.
     """
     _check(options)
+    with journal_beside(options.output, options.detection.batch):
+        return _estimated(options, progress)
+
+
+def _estimated(options: PnpOptions, progress: Progress) -> PnpReport:
     file = read_camera_file(options.camera_file, options.given, progress, partial(_first_size_of, options))
     observer = _observer(options, file)
     inverse = _is_inverse(options.pose, observer.frame)

@@ -18,7 +18,9 @@ from camcal.images.video import frame_name, frames
 from camcal.messages import Message
 from camcal.progress import SILENT, Outcome, Progress, warn_of
 from camcal.raw.detection_image import read_detection_image
+from camcal.run import fingerprint
 from camcal.run.fanout import fan_out
+from camcal.run.journal import Found, journaled
 from camcal.run.options import DEFAULT_BATCH, BatchOptions
 from camcal.run.paths import find_media
 from camcal.targets.board import CHARUCO, Board
@@ -131,8 +133,16 @@ def _search(
     """Return what became of every image, its pixels dropped."""
     timeout = None if jobs == 1 else _TIMEOUT_S
     work = partial(_look_at, family=tags.family, keep_repeated=keep_repeated)
-    found = fan_out(work, looks, jobs=jobs, batch=batch, processes=True, what=what, progress=progress, timeout=timeout)
-    return [Outcome(_Frame(outcome.item.name), outcome.value, outcome.error) for outcome in found]
+    settings = fingerprint.of_data([fingerprint.versions(), tags.family, keep_repeated])
+    kept: Found[_Frame, _ImageMarkers] = Found(settings, _looked_at, _ImageMarkers)
+    found = journaled(work, looks, kept, jobs=jobs, batch=batch, what=what, progress=progress, timeout=timeout)
+    return [outcome.of(_Frame(outcome.item.name)) for outcome in found]
+
+
+def _looked_at(look: _Frame) -> list[Path | str]:
+    if look.image is None:
+        return [Path(look.name)]
+    return [str(look.image) if isinstance(look.image, CamcalError) else fingerprint.of_array(look.image.pixels)]
 
 
 def _look_at(look: _Frame, family: str, keep_repeated: bool) -> _ImageMarkers:

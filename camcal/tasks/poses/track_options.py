@@ -94,7 +94,7 @@ class TrackingOptions(OptionsRecord):
         ),
     ]
     given: GivenCamera = field(default_factory=GivenCamera)
-    detection: Annotated[DetectionOptions, Without(("board_shape", "scale", "repeated_ids"))] = field(
+    detection: Annotated[DetectionOptions, Without(("board_shape", "scale", "repeated_ids", "batch.resume"))] = field(
         default_factory=DetectionOptions
     )
     object: Annotated[str | None, Option("Object to track; by default all.", metavar="NAME", group=INPUT)] = None

@@ -25,6 +25,7 @@ from camcal.quality.assess import Assessment, assess
 from camcal.quality.projection_uncertainty import ProjectionUncertainty, projection_uncertainty, too_uncertain
 from camcal.report.calibration import as_data, candidates_data, uncertainty_data
 from camcal.report.rig import motion_data, transform_data
+from camcal.run.journal import journal_beside
 from camcal.run.outputs import writes
 from camcal.targets.detection import BoardDetection
 from camcal.tasks.calibration.camera_result import camera_entry, image_record, is_shaped
@@ -117,7 +118,11 @@ def calibrated(
 
     What the settings say of the board is not used. Raises and writes as `rig` does.
     """
-    seen = look()
+    with journal_beside(settings.output, settings.batch):
+        return _calibrated(look(), settings, command, progress)
+
+
+def _calibrated(seen: RigViews, settings: RigSettings, command: Sequence[str], progress: Progress) -> RigReport:
     require_size(seen.board)
     names = seen.captures.cameras
     given = given_lenses(settings, names, progress)

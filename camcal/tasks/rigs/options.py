@@ -126,7 +126,7 @@ class RigSettings(OptionsRecord):
     image_size: ImageSize = None
     recursive: Recursive = False
     jobs: Jobs = None
-    batch: Annotated[BatchOptions, Without(("resume",))] = DEFAULT_BATCH
+    batch: BatchOptions = DEFAULT_BATCH
     reading: Annotated[ImageReadOptions, Without(("colours",))] = AS_IMAGES
     frames: FrameOptions = BEST_FRAMES
     parts: Parts = False

@@ -1,0 +1,114 @@
+"""How a command is called, and how it gives its result."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any
+
+from camcal.cli import show
+from camcal.cli.plain_data import plain
+from camcal.errors import InvalidInput
+from camcal.files import STANDARD
+from camcal.images import limits
+from camcal.messages import Message, counted
+from camcal.options import GENERAL, Option
+from camcal.progress import Progress
+
+_MOST_PIXELS = 1e6  # millions; sides are 32-bit numbers
+
+
+@dataclass(frozen=True)
+class Call:
+    """How a command is called: what each of them takes beside the options of its task. documents: what it gave."""
+
+    command: str
+    json: Annotated[bool, Option("Print one JSON document on stdout and nothing else.", group=GENERAL)] = False
+    quiet: Annotated[bool, Option("Only warnings and errors.", group=GENERAL, names="--quiet -q")] = False
+    verbose: Annotated[bool, Option("Show all rows, columns and details.", group=GENERAL, names="--verbose -v")] = False
+
+    documents: list[Callable[[], Mapping[str, Any]]] = field(default_factory=list)
+
+    def prepare(self) -> None:
+        """Set what holds for the whole process."""
+
+    def once(self, options: Any, output: Path | None, work: Callable[[], None], *, resume: bool) -> None:
+        """Do the work of a command with one result, unless it is to be resumed and an earlier run has done the same."""
+        from camcal.run.finished import Finished
+
+        if not resume or output is None or str(output) == STANDARD:
+            work()
+            return
+        finished = Finished(self.command, options, output)
+        known = finished.document()
+        if known is None:
+            work()
+            if self.documents:
+                document = plain(self.documents[-1]())
+                finished.keep({name: value for name, value in document.items() if name != "reused"})
+            return
+        failures = [Message(**each) for each in known.get("failures", ())]
+
+        def words() -> None:
+            show.text(f"nothing to do: {output} is complete and unchanged")
+            if failures:
+                show.trust(failures)
+
+        self.give(lambda: {**known, "reused": finished.inputs}, words, failures)
+
+    @property
+    def progress(self) -> Progress:
+        """What a task reports to."""
+        return show.progress(self.quiet)
+
+    def give(
+        self,
+        document: Callable[[], Mapping[str, Any]],
+        words: Callable[[], None],
+        failures: Sequence[Message] = (),
+    ) -> None:
+        """Print a result: as the one JSON document, or in words, or not at all.
+
+        failures: why it is not to be trusted; they go to stderr where there are no words, which say it themselves.
+        """
+        self.documents.append(document)
+        if self.json:
+            show.result(self.command, document())
+        elif not self.quiet:
+            words()
+            return
+        show.distrust(failures)
+
+    def give_found(
+        self, document: Callable[[], Mapping[str, Any]], words: Callable[[], None], failures: Sequence[Message] = ()
+    ) -> None:
+        """Print a result as `give` does, and of how many of its images an earlier run had found the corners."""
+        from camcal.run.journal import found_before
+
+        def more() -> None:
+            words()
+            if count := found_before():
+                show.text(f"{counted(count, 'image')} searched by an earlier run")
+
+        self.give(lambda: {**document(), "reused": found_before()}, more, failures)
+
+
+@dataclass(frozen=True)
+class ImageCall(Call):
+    """How a command is called that decodes images."""
+
+    max_pixels: Annotated[
+        float | None,
+        Option(
+            "Refuse images of more megapixels before decoding; by default 300.",
+            metavar="MILLIONS",
+            group=GENERAL,
+        ),
+    ] = None
+
+    def prepare(self) -> None:
+        """Set how many pixels an image may have; every reader asks for it, and worker processes inherit it."""
+        if self.max_pixels is None:
+            return
+        if not 0 < self.max_pixels <= _MOST_PIXELS:
+            raise InvalidInput(f"--max-pixels {self.max_pixels:g}: more than 0 and at most {_MOST_PIXELS:g} million")
+        limits.set_max_pixels(round(self.max_pixels * 1e6))

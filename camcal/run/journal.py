@@ -1,0 +1,185 @@
+"""What was found in single images, kept until the result that is made of all of them is written.
+
+A command with one result for many images leaves a journal beside its output while it works: a line for each image,
+with the fingerprint of what was looked at and what was found as JSON. A killed run leaves it behind, and the next one
+with --resume does not look at the same images again.
+"""
+
+import json
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from contextvars import ContextVar
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, BinaryIO, Generic
+
+from camcal import files
+from camcal.errors import CamcalError, FileError, reason
+from camcal.progress import SILENT, Item, Outcome, Progress, Value
+from camcal.run import records
+from camcal.run.fanout import fan_out
+from camcal.run.options import DEFAULT_BATCH, BatchOptions
+from camcal.run.outputs import Run
+from camcal.run.resume import MadeItem, made_from, remembering
+
+_JOURNAL: ContextVar["Journal | None"] = ContextVar("journal", default=None)
+
+
+def path_beside(output: Path) -> Path:
+    """Return where the journal of an output stands."""
+    return output.with_name(f".{output.name}.camcal-journal")
+
+
+class Journal:
+    """The lines of a journal, those of earlier runs among them."""
+
+    def __init__(self, path: Path, *, resume: bool) -> None:
+        self.path = path
+        self.known = dict(_lines(path)) if resume else {}
+        if not resume:
+            self.remove()
+        self._stream: BinaryIO | None = None
+
+    def add(self, fingerprint: str, data: Any) -> None:
+        """Add a line; raises FileError if it cannot be written."""
+        try:
+            if self._stream is None:
+                self.path.parent.mkdir(parents=True, exist_ok=True)
+                self._stream = self.path.open("ab")
+                self._stream.write(b"\n")  # ends what a killed run left of a line
+            self._stream.write(f"{fingerprint}\t{json.dumps(data, separators=(',', ':'))}\n".encode())
+            self._stream.flush()
+        except OSError as error:
+            raise FileError(f"cannot be written: {reason(error)}", where=str(self.path)) from error
+
+    def close(self) -> None:
+        """End writing."""
+        if self._stream is not None:
+            self._stream.close()
+
+    def remove(self) -> None:
+        """Remove the file, if there is one."""
+        with suppress(OSError):  # of a folder that cannot be written; the next run is not worse off
+            self.path.unlink(missing_ok=True)
+
+
+def _lines(path: Path) -> Iterator[tuple[str, str]]:
+    """Yield fingerprints and what was found; a line that was not finished is none."""
+    with suppress(OSError), path.open("rb") as stream:
+        for line in stream:
+            fingerprint, tab, data = line.decode("ascii", "replace").partition("\t")
+            if tab and data.endswith("\n"):
+                yield fingerprint, data
+
+
+def found_before() -> int:
+    """Return how many images this run did not search, because an earlier one had."""
+    run = files.LEDGER.get()
+    return run.found_before if isinstance(run, Run) else 0
+
+
+@contextmanager
+def journal_beside(output: Path | None, batch: BatchOptions) -> Iterator[None]:
+    """Keep a journal beside an output during the block, which writes it; within another block that one's is kept.
+
+    It stays behind if the block is ended from outside, or where it is of use: a disk that is full, an image that fails.
+    """
+    if output is None or _JOURNAL.get() is not None or files.is_stream(output):
+        yield
+        return
+    kept = Journal(path_beside(output), resume=batch.resume)
+    token = _JOURNAL.set(kept)
+    try:
+        yield
+        kept.remove()
+    except CamcalError as error:
+        if not batch.fail_fast and not isinstance(error, FileError):
+            kept.remove()
+        raise
+    finally:
+        kept.close()
+        _JOURNAL.reset(token)
+
+
+@dataclass(frozen=True)
+class Found(Generic[Item, Value]):
+    """What is found in images: settings, inputs: as of `resume.Items`. result: the type of what is found."""
+
+    settings: str
+    inputs: Callable[[Item], Sequence[Path | str]]
+    result: Any
+
+
+@dataclass(frozen=True)
+class _Looked(Generic[Item, Value]):
+    """A function of items that also says what they were made from."""
+
+    function: Callable[[Item], Value]
+    found: Found[Item, Value]
+
+    def __call__(self, item: Item) -> MadeItem[Value]:
+        before = made_from(self.found.settings, self.found.inputs(item))
+        return MadeItem(self.function(item), before, ())
+
+
+def journaled(
+    function: Callable[[Item], Value],
+    every: Iterable[Item],
+    found: Found[Item, Value],
+    *,
+    jobs: int | None = None,
+    batch: BatchOptions = DEFAULT_BATCH,
+    what: str = "",
+    progress: Progress = SILENT,
+    timeout: float | None = None,
+) -> Iterator[Outcome[Item, Value]]:
+    """Return an iterator with one Outcome per item from worker processes; what is in the journal is not done again."""
+    kept = _JOURNAL.get()
+    if kept is None:
+        return fan_out(
+            function, every, jobs=jobs, batch=batch, processes=True, what=what, progress=progress, timeout=timeout
+        )
+    looked = _Looked(function, found)
+
+    def fan(left: Iterable[Item]) -> Iterator[Outcome[Item, MadeItem[Value]]]:
+        return fan_out(
+            looked, left, jobs=jobs, batch=batch, processes=True, what=what, progress=progress, timeout=timeout
+        )
+
+    return remembering(_Journaled(kept, found), every, fan, jobs=jobs, batch=batch, progress=progress)
+
+
+class _Journaled(Generic[Item, Value]):
+    """What was found in images as a journal knows it; see `resume.Memory`."""
+
+    def __init__(self, kept: Journal, found: Found[Item, Value]) -> None:
+        self.kept = kept
+        self.found = found
+
+    def made_from(self, item: Item) -> str:
+        """See `resume.Memory`."""
+        return made_from(self.found.settings, self.found.inputs(item))
+
+    def holds(self, item: Item) -> bool:  # noqa: ARG002 - only its fingerprint tells
+        """See `resume.Memory`."""
+        return bool(self.kept.known)
+
+    def reuse(self, item: Item, fingerprint_now: str) -> Outcome[Item, Value] | None:
+        """See `resume.Memory`."""
+        data = self.kept.known.get(fingerprint_now)
+        if data is not None:
+            with suppress(KeyError, IndexError, TypeError, ValueError, CamcalError):  # changed by hand
+                value = records.of_plain(self.found.result, json.loads(data))
+                run = files.LEDGER.get()
+                if isinstance(run, Run):
+                    run.found_before += 1
+                return Outcome(item, value, reused=True)
+        return None
+
+    def release(self, left: Sequence[Item], *, claimed: bool) -> None:
+        """See `resume.Memory`."""
+
+    def record(self, item: Item, made: MadeItem[Value]) -> None:  # noqa: ARG002 - see `holds`
+        """See `resume.Memory`."""
+        with suppress(FileError):  # it would only be found again
+            self.kept.add(made.made_from, records.as_plain(made.value))
