@@ -2,9 +2,10 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from math import floor, isfinite, log10
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from camcal.targets.board import Board
+if TYPE_CHECKING:  # tables are shown by commands that import nothing heavy
+    from camcal.targets.board import Board
 
 _FIGURES = {"rms": "RMS", "max": "worst", "centre": "centre", "median": "median", "p95": "95th percentile"}
 _LEAST, _MOST = 1e-6, 1e5  # standard deviations outside of these are written with an exponent
@@ -38,7 +39,7 @@ def value_with_std(value: float, std: float | None) -> str:
     return " ± ".join(filter(None, value_and_std(value, std)))
 
 
-def length_unit(board: Board) -> tuple[float, str]:
+def length_unit(board: "Board") -> tuple[float, str]:
     """Return the factor that takes small lengths of a board to the unit that they are said in, and that unit."""
     return (1e3, "mm") if board.unit == "m" else (1.0, "squares")
 
