@@ -76,7 +76,8 @@ def _show_rectified(report: "RectifyReport") -> None:
     show.reused(report.images, "image")
     drawn = [each.output for each in show.made(report.images)]
     if drawn or not report.images:
-        show.wrote(*beside.all[:1], *beside.all[3:], *beside.masks, show.several(drawn, "image"))
+        masks = show.several(beside.masks, "mask")
+        show.wrote(*beside.all[:1], *beside.all[3:], masks, show.several(drawn, "image"))
 
 
 def check(options: StereoCheckOptions, call: ImageCall) -> None:

@@ -140,10 +140,14 @@ def test_one_line_says_what_was_written(capsys):
     show.wrote(Path("a"), Path("b"), Path("c"))
     show.wrote(show.several(images[:1], "image"))
     show.wrote(None, show.several([], "image"))
+    show.wrote(show.several([Path(side) / path.name for side in ("left", "right") for path in images], "image"))
+    show.wrote(show.several([Path("left/a.png"), Path("right/a.png")], "image"))
     assert capsys.readouterr().out.splitlines() == [
         "wrote camera.yaml and 20 images to out/",
         "wrote a, b and c",
         "wrote out/0.png",
+        "wrote 40 images to left/, right/",
+        "wrote left/a.png, right/a.png",
     ]
     show.wrote(Path("-"))
     assert capsys.readouterr().out == ""
