@@ -61,6 +61,8 @@ def range_uncertainty(calibration: Calibration) -> RangeUncertainty | None:
     if camera.covariance is None or not camera.covariance.any() or not seen or not inside.any():
         return None
     joint = _joint_covariance(camera, seen, calibration.sigma_px)
+    if joint is None:
+        return None
     away = [float(np.linalg.norm(pose.translation)) for pose, _ in seen]
     distances = np.geomspace(min(away) / _BEYOND, max(away) * _BEYOND, _COUNT)
     std = []
@@ -72,25 +74,31 @@ def range_uncertainty(calibration: Calibration) -> RangeUncertainty | None:
     return RangeUncertainty(distances, np.array(std), min(away), max(away))
 
 
-def _joint_covariance(camera: Camera, seen: list[tuple[Pose, Array]], sigma: float) -> Array:
+def _joint_covariance(camera: Camera, seen: list[tuple[Pose, Array]], sigma: float) -> Array | None:
     """Return the covariance (K + 3, K + 3) of the lens parameters and of the mean shift of the boards.
+
+    None if no view has the corners that hold a pose.
 
     With the lens given, the pose of a board follows it by -A⁻¹B and scatters by σ² A⁻¹, where A = JᵀJ and B = JᵀL with
     the derivatives J of its corners by the pose and L by the lens.
     """
     assert camera.covariance is not None
-    count = len(camera.parameters)
+    count, used = len(camera.parameters), 0
     follows, scatter = np.zeros((3, count)), np.zeros((3, 3))
     for pose, pixels in seen:
         by_lens, by_pose = _derivatives(camera, pose, pixels)
-        inverse = np.linalg.inv(by_pose.T @ by_pose)
+        if np.linalg.matrix_rank(by_pose) < by_pose.shape[1]:
+            continue
+        inverse, used = np.linalg.inv(by_pose.T @ by_pose), used + 1
         # of what is at the camera's centre: a turn of the board about itself moves it too
         shift = np.hstack([np.eye(3), so3.hat(pose.translation)])
-        follows -= shift @ inverse @ (by_pose.T @ by_lens) / len(seen)
-        scatter += sigma**2 * shift @ inverse @ shift.T / len(seen) ** 2
-    change = np.vstack([np.eye(count), follows])
+        follows -= shift @ inverse @ (by_pose.T @ by_lens)
+        scatter += sigma**2 * shift @ inverse @ shift.T
+    if not used:
+        return None
+    change = np.vstack([np.eye(count), follows / used])
     joint = change @ camera.covariance @ change.T
-    joint[count:, count:] += scatter
+    joint[count:, count:] += scatter / used**2
     return np.asarray(joint)
 
 

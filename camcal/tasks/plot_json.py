@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.errors import FileError, InvalidInput
+from camcal.errors import FileError, InsufficientData, InvalidInput
 from camcal.formats.documents import Document
 from camcal.formats.poses import plain
 from camcal.formats.schema import flag, integer, items, mapping, number, text, unchecked
@@ -74,7 +74,9 @@ def _uncertainty(content: Document) -> ProjectionUncertainty:
     found = content["uncertainty"]["map"]
     u, v = (np.array(found[name], float) for name in ("u", "v"))
     rms, worst = (_grid(content, found, name, float) for name in ("rms_px", "worst_px"))
-    # Ellipses of unknown direction with the same axes: all that is drawn and said.
+    if not (np.isfinite(rms) & np.isfinite(worst)).any():
+        raise InvalidInput("uncertainty.map: holds no numbers to draw", where=content.where)
+    # ellipses with these axes, in whatever direction: neither is drawn
     covariances = np.zeros((len(rms), 2, 2))
     covariances[:, 0, 0], covariances[:, 1, 1] = worst**2, np.maximum(2 * rms**2 - worst**2, 0)
     inside = None if found["inside"] is None else _grid(content, found, "inside", bool)
@@ -93,6 +95,8 @@ def _grid(content: Document, found: Mapping[str, Any], name: str, kind: type) ->
 
 def _detection(content: Document) -> tuple[Plot, ...]:
     require(content, _DETECTION)
+    if not content["images"]:
+        raise InsufficientData("holds no images to draw", where=content.where)
     return (ranked_views([(image["image"], image["corners"]) for image in content["images"]]),)
 
 

@@ -149,12 +149,20 @@ def test_what_commands_print_can_be_drawn(run, results, tmp_path):
         ('{"schema": "camcal/undistort/1"}', "is what camcal undistort prints with --json: draw the files"),
         ('{"schema": "camcal/fit/1", "error": {}}', "holds the failure of camcal fit, nothing to draw"),
         ('{"schema": "camcal/calibrate/1", "views": []}', "missing key 'image_size'"),
+        ('{"schema": "camcal/detect/1", "images": []}', "holds no images to draw"),
+        (
+            (
+                '{"schema": "camcal/calibrate/1", "views": [], "image_size": [9, 9], "uncertainty": '
+                '{"map": {"u": [], "v": [], "rms_px": [], "worst_px": [], "inside": null}}}'
+            ),
+            "uncertainty.map",
+        ),
     ],
 )
 def test_what_commands_print_and_cannot_be_drawn_is_named(run, tmp_path, content, said):
     (tmp_path / "said.json").write_text(content)
     code, _, err = run("plot", tmp_path / "said.json", "-o", tmp_path / "figures")
-    assert (code in (2, 3), said in err) == (True, True)
+    assert (code in (2, 3, 4), said in err) == (True, True)
     assert not (tmp_path / "figures").exists()
 
 
