@@ -79,7 +79,8 @@ def _show_calibration(report: "CalibrateReport", options: CalibrateOptions, verb
     if verbose:
         corners = [f"{corner.image}: corner {corner.id}, {_how_far(corner)}" for corner in calibration.rejected]
         _list("Rejected corners:", corners, verbose)
-    show.wrote(options.output, show.several(report.figures, "figure"))
+    figures = show.several(report.figures, "figure")
+    show.wrote(options.output, options.save_detections, options.report, figures)
 
 
 def _show_channels(report: "CalibrateReport") -> None:

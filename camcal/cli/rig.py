@@ -87,7 +87,8 @@ def _show(report: "RigReport", settings: RigSettings, verbose: bool) -> None:
         f"{view.image}: {view.reason}" for own in calibration.calibrations.values() for view in own.views if view.reason
     ]
     _list("Not used:", unused, verbose)
-    show.wrote(settings.output, show.several(report.figures, "figure"))
+    figures = show.several(report.figures, "figure")
+    show.wrote(settings.output, settings.save_detections, settings.report, figures)
 
 
 def _list(title: str, lines: list[str], verbose: bool) -> None:
