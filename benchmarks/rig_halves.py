@@ -126,6 +126,10 @@ def row(name: str, arguments: argparse.Namespace) -> np.ndarray | None:
                 failed += 1
                 print(f"# {name}: {error}", file=sys.stderr)
                 continue
+            if reasons := [why for result in results for why in result.unlinked.values()]:
+                failed += 1
+                print(f"# {name}: {reasons[0]}", file=sys.stderr)
+                continue
             seconds.append((time.process_time() - start) / 2)
             for camera, own in differences.items():
                 own.add(*results, camera)
