@@ -11,7 +11,7 @@ from camcal.calibrate.shape import AT_ALL_TOGETHER
 from camcal.solve.steps import Factors
 
 # Passes: at least, unless noise and scales are known; at most; of a brief estimate at most.
-_LEAST, _MOST, _BRIEF = 2, 60, 10
+_LEAST, _MOST, _BRIEF = 2, 100, 10
 # Of a standard deviation: so little more to come for any lens parameter that no other pass is needed; and its largest
 # change by a pass with which the result may still be used where passes run out.
 _SETTLED, CALM = 1e-2, 0.3
