@@ -2,7 +2,8 @@
 
 import fnmatch
 import glob
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
@@ -144,14 +145,14 @@ def _unordered(pipeline: Pipeline, order: Order, makers: _Makers) -> Iterator[Fa
                     yield pipeline.fault(step, text)
 
 
-def missing_inputs(pipeline: Pipeline, order: Order, chosen: Collection[str]) -> Iterator[Fault]:
+def missing_inputs(pipeline: Pipeline, order: Order, chosen: AbstractSet[str]) -> Iterator[Fault]:
     """Yield files that the chosen steps need and that are neither there nor made by a chosen step before them."""
     makers = _Makers(pipeline.steps)
     for name in chosen:
         step, above = order.steps[name], order.above(name)
         for each, path in _named_files(step):
             makers_of = {other for other, _ in makers.around(path)} - {name}
-            if makers_of & above & set(chosen) or _is_there(path):
+            if makers_of & above & chosen or _is_there(path):
                 continue
             if makers_of & above:
                 advice = f"{path} is not there and step {min(makers_of & above)}, which makes it, is not chosen"

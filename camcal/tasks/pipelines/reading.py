@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from camcal import files
-from camcal.errors import InvalidInput
+from camcal.errors import InvalidInput, in_one_line
 from camcal.files import STANDARD
 from camcal.formats import documents
 from camcal.formats.documents import Document, Fault, child
@@ -208,7 +208,7 @@ class _Reader:
         for item in self.items(path, data.get("foreach")):
             noted = len(self.found)
             given = {} if unknown else self.given(path, data, keys, record, item)
-            label = name if item is None else f"{name}[{item[1]}]"
+            label = name if item is None else in_one_line(f"{name}[{item[1]}]")
             step = Step(label, name, str(data["command"]), record, given, before)
             if not unknown and len(self.found) == noted:
                 self.check(path, step)

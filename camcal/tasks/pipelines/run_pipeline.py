@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import chdir, contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
+from functools import cached_property
 from pathlib import Path
 from typing import Protocol
 
@@ -87,7 +88,7 @@ def run_pipeline(
             pipeline = read_pipeline(text, where, dict(each.split("=", 1) for each in options.variables), commands)
             order = ordered(pipeline)
             chosen = _chosen(order, options)
-            if found := dict.fromkeys(missing_inputs(pipeline, order, chosen)):
+            if found := dict.fromkeys(missing_inputs(pipeline, order, set(chosen))):
                 raise pipeline.document.error(found)
             state = State(state_file)
         run = _PipelineRun(order, chosen, state, options, file, perform, progress, told or (lambda _: None))
@@ -162,12 +163,15 @@ class _PipelineRun:
 
     def all_steps(self) -> list[StepReport]:
         """Run the chosen steps, each after those that it needs; return them in their order."""
-        while ready := [name for name in self.chosen if name not in self.reports and not self.waits(name)]:
-            due = {name: reason for name in ready if (reason := self.begin(name)) is not None}
-            for name, result in self.results(due):
-                self.end(name, due[name], result)
-                if self.stopped:
-                    break
+        try:
+            while ready := [name for name in self.chosen if name not in self.reports and not self.waits(name)]:
+                due = {name: reason for name in ready if (reason := self.begin(name)) is not None}
+                for name, result in self.results(due):
+                    self.end(name, due[name], result)
+                    if self.stopped:
+                        break
+        finally:
+            self.state.write()
         return [self.reports[name] for name in self.chosen]
 
     def waits(self, name: str) -> bool:
@@ -208,10 +212,19 @@ class _PipelineRun:
         )
 
     def files(self, step: Step) -> list[Path]:
-        """Return the files that the options of a step stand for, without what other steps write later."""
+        """Return the files that the options of a step stand for, without its outputs and those of later steps."""
         above = self.order.above(step.name)
-        later = (other for name, other in self.order.steps.items() if name not in above and name != step.name)
-        return files_of(step, [self.file, self.state.path, *(path for other in later for path in other.outputs)])
+        return [path for path in files_of(step) if self._made_by(path) <= above]
+
+    def _made_by(self, path: Path) -> set[str]:
+        """Return the steps of which a file is an output, or lies in one; of the run's own files that is no step."""
+        place = path.absolute()
+        return {self._makers[each] for each in (place, *place.parents) if each in self._makers}
+
+    @cached_property
+    def _makers(self) -> dict[Path, str]:
+        made = {path.absolute(): name for name, step in self.order.steps.items() for path in step.outputs}
+        return made | dict.fromkeys((self.file, self.state.path), "")
 
     def results(self, due: Mapping[str, str]) -> Iterator[tuple[str, StepResult]]:
         """Yield what comes of steps that do not need one another; due: their names, and why they run.
@@ -252,7 +265,7 @@ class _PipelineRun:
             self.state.keep(step, result, self.files(step))
         else:
             self.state.forget(name)
-        self.state.write()
+        self.state.write_soon()
         self.note(StepReport(step, DONE if result.error is None else FAILED, reason, result))
 
 

@@ -6,6 +6,7 @@ contents of all files that it read and of all that it wrote are those of the las
 
 import glob
 import json
+import time
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -26,6 +27,7 @@ FORMAT = "camcal/run-state/1"
 MISSING = ""  # in the place of the hash of a file that is not there
 
 _PACKAGE = Path(camcal.__file__).parent
+_WRITE_S = 1.0  # at least between two writings of a state: with many steps it is large
 _FEW = 64  # files that are hashed without threads
 
 
@@ -90,12 +92,15 @@ def _stamp(path: Path) -> tuple[int, int, int] | None:
 
 
 class State:
-    """The records of all steps in a file, which is written after every change."""
+    """The records of all steps, and the file that keeps them."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self.hashes = Hashes()
-        self.records = _records(path) if path.exists() else {}
+        self.versions = fingerprint.versions()
+        self._text = files.read_text(path) if path.exists() else ""
+        self._written = float("-inf")
+        self.records = _records(self._text, path) if self._text else {}
 
     def keep(self, step: Step, result: StepResult, inputs: Iterable[Path]) -> None:
         """Record a step that succeeded; inputs: files that its options stand for."""
@@ -104,7 +109,7 @@ class State:
         self.records[step.name] = StepRecord(
             step.command,
             step.settings,
-            fingerprint.versions(),
+            self.versions,
             self.hashes.of(sorted(path for path in read if path.is_file())),
             self.hashes.of(sorted(outputs)),
             result.figures,
@@ -116,11 +121,18 @@ class State:
         """Drop the record of a step."""
         self.records.pop(name, None)
 
+    def write_soon(self) -> None:
+        """Write the records, unless that was done just before."""
+        if time.monotonic() - self._written > _WRITE_S:
+            self.write()
+
     def write(self) -> None:
-        """Write the records, in the order of their names, on one line each."""
+        """Write the records if they changed, in the order of their names, on one line each."""
         lines = [f"{json.dumps(name)}: {_text(record)}" for name, record in sorted(self.records.items())]
         steps = ",\n".join(lines)
-        files.write_text(self.path, f'{{"format": "{FORMAT}", "steps": {{\n{steps}\n}}}}\n')
+        if (text := f'{{"format": "{FORMAT}", "steps": {{\n{steps}\n}}}}\n') != self._text:
+            files.write_text(self.path, text)
+        self._text, self._written = text, time.monotonic()
 
     def reason_to_run(self, step: Step, inputs: Iterable[Path], progress: Progress = SILENT) -> str | None:
         """Return why a step has to run, None if it is up to date; inputs: files that its options stand for."""
@@ -131,8 +143,8 @@ class State:
             return f"command changed from {record.command} to {step.command}"
         if keys := _different(record.settings, step.settings):
             return f"{_and_more(keys)} changed"
-        if names := _different(record.versions, (versions := fingerprint.versions())):
-            before, now = (found.get(names[0], "none") for found in (record.versions, versions))
+        if names := _different(record.versions, self.versions):
+            before, now = (found.get(names[0], "none") for found in (record.versions, self.versions))
             return f"{names[0]} {now} in the place of {before}"
         return self._changed_file(record, inputs, progress)
 
@@ -151,10 +163,10 @@ class State:
         return None
 
 
-def _records(path: Path) -> dict[str, StepRecord]:
+def _records(text: str, path: Path) -> dict[str, StepRecord]:
     """Return the records in a state file, none if it was damaged; raises FileError if it is of something else."""
     try:
-        data = documents.parse_json(files.read_text(path), str(path))
+        data = documents.parse_json(text, str(path))
         return {name: StepRecord(**record) for name, record in data["steps"].items()}
     except (CamcalError, AttributeError, KeyError, TypeError) as error:
         if says_camcal(path):
@@ -189,14 +201,12 @@ def _and_more(names: list[str], noun: str = "") -> str:
     return f"{first} and {more}"
 
 
-def files_of(step: Step, others: Iterable[Path]) -> list[Path]:
+def files_of(step: Step) -> list[Path]:
     """Return the files that the options of a step stand for: those that they name, and those in folders and patterns.
 
-    Left out are hidden files, outputs of the step, and outputs of other steps that come later.
+    Hidden files are left out.
     """
-    outputs = {path.absolute() for path in (*step.outputs, *others)}
-    found = dict.fromkeys(path for given in step.inputs for path in _standing_for(given))
-    return [path for path in found if outputs.isdisjoint((place := path.absolute(), *place.parents))]
+    return list(dict.fromkeys(path for given in step.inputs for path in _standing_for(given)))
 
 
 def _standing_for(given: Path) -> Iterator[Path]:
