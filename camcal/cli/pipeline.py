@@ -1,7 +1,6 @@
 """`camcal run`."""
 
 import sys
-from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -22,26 +21,25 @@ def run(options: PipelineOptions, call: ImageCall) -> None:
     """
     from camcal.cli.steps import StepCommands, perform
     from camcal.tasks.pipelines.run_pipeline import run_pipeline
-    from camcal.tasks.pipelines.summary import document, require_success
+    from camcal.tasks.pipelines.summary import document, doubts, require_success
 
-    told = None if call.quiet else partial(_tell, verbose=call.verbose)
-    report = run_pipeline(options, StepCommands(), perform, call.progress, told)
-    call.give(lambda: document(report), lambda: _show(report, options, call.verbose))
+    report = run_pipeline(options, StepCommands(), perform, call.progress, partial(_tell, call=call))
+    call.give(lambda: document(report), lambda: _show(report, options, call.verbose), doubts(report))
     require_success(report)
 
 
-def _tell(each: "StepReport", *, verbose: bool) -> None:
+def _tell(each: "StepReport", *, call: ImageCall) -> None:
     """Print to stderr that a step starts, and what came of it; on a terminal the table says that."""
     from camcal.tasks.pipelines.run_pipeline import STARTED, UP_TO_DATE
-    from camcal.tasks.pipelines.summary import result_words
+    from camcal.tasks.pipelines.summary import of_step, result_words
 
     for warning in each.result.warnings if each.state != UP_TO_DATE else ():
-        show.warning(replace(warning, where=": ".join(filter(None, (each.name, warning.where)))))
+        show.warning(of_step(each, warning))
     show.failed(f"{each.name}: {why}" for why in each.result.failed)
-    if verbose or sys.stderr is None or not sys.stderr.isatty():
+    if call.verbose or not (call.quiet or sys.stderr is None or sys.stderr.isatty()):
         words = each.reason if each.state == STARTED else result_words(each)
         show.note(f"step {each.name}", f"{each.state}: {words}" if words else each.state)
-    for line in each.result.text.splitlines() if verbose else ():
+    for line in each.result.text.splitlines() if call.verbose else ():
         show.note(f"step {each.name}", line)
 
 

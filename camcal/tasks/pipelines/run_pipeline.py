@@ -1,7 +1,7 @@
 """`camcal run`: the steps of a pipeline, those that are not up to date, in their order."""
 
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import chdir, contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
@@ -88,7 +88,7 @@ def run_pipeline(
             pipeline = read_pipeline(text, where, dict(each.split("=", 1) for each in options.variables), commands)
             order = ordered(pipeline)
             chosen = _chosen(order, options)
-            if found := dict.fromkeys(missing_inputs(pipeline, order, set(chosen))):
+            if found := dict.fromkeys(missing_inputs(pipeline, order, chosen.keys())):
                 raise pipeline.document.error(found)
             state = State(state_file)
         run = _PipelineRun(order, chosen, state, options, file, perform, progress, told or (lambda _: None))
@@ -116,15 +116,15 @@ def _alone(options: PipelineOptions) -> Iterator[None]:
         os.close(handle)
 
 
-def _chosen(order: Order, options: PipelineOptions) -> list[str]:
-    """Return the names of the steps that --only and --from choose, in their order; raises InvalidInput."""
+def _chosen(order: Order, options: PipelineOptions) -> dict[str, Step]:
+    """Return the steps that --only and --from choose, in their order; raises InvalidInput."""
     if options.only:
         found = {name for text in options.only for name in _named(order, text, "--only")}
     elif options.first is not None:
         found = order.below(_named(order, options.first, "--from"))
     else:
-        return list(order.steps)
-    return [name for name in order.steps if name in found]
+        return dict(order.steps)
+    return {name: step for name, step in order.steps.items() if name in found}
 
 
 def _named(order: Order, text: str, option: str) -> list[str]:
@@ -142,7 +142,7 @@ class _PipelineRun:
     """A run of the chosen steps, and what came of those that have ended."""
 
     order: Order
-    chosen: Sequence[str]
+    chosen: Mapping[str, Step]
     state: State
     options: PipelineOptions
     file: Path
@@ -154,8 +154,7 @@ class _PipelineRun:
     def foreseen(self) -> list[StepReport]:
         """Return for every chosen step whether it would run, and why."""
         found: dict[str, StepReport] = {}
-        for name in self.chosen:
-            step = self.order.steps[name]
+        for name, step in self.chosen.items():
             needed = [other for other in self.order.needs[name] if other in found and found[other].state == WOULD_RUN]
             reason = f"needs {needed[0]}, which would run" if needed else self.reason_to_run(step)
             found[name] = StepReport(step, UP_TO_DATE if reason is None else WOULD_RUN, reason or "")
@@ -186,7 +185,7 @@ class _PipelineRun:
 
     def begin(self, name: str) -> str | None:
         """Return why a step has to run; None if it need not or cannot, which is noted."""
-        step = self.order.steps[name]
+        step = self.chosen[name]
         blocking = [self.reports[other] for other in self.order.needs[name] if other in self.reports]
         blocking = [each for each in blocking if each.state == NOT_RUN or not each.result.continued]
         if blocking:
@@ -233,10 +232,10 @@ class _PipelineRun:
         other and has all jobs. On a cluster each is a job.
         """
         batch, count = self.options.batch, self.options.jobs or available_cores()
-        limited = any(each.key == "timeout" for name in due for each in self.order.steps[name].given)
+        limited = any(each.key == "timeout" for name in due for each in self.chosen[name].given)
         if len(due) < 2 or limited or (batch.scheduler is None and 2 * len(due) <= count):
             for name, reason in due.items():
-                self.told(StepReport(self.order.steps[name], STARTED, reason))
+                self.told(StepReport(self.chosen[name], STARTED, reason))
                 yield name, self.perform(self.job(name, self.options.jobs, batch.scheduler), self.progress)
             return
         items = [self.job(name, 1) for name in due]
@@ -248,7 +247,7 @@ class _PipelineRun:
 
     def job(self, name: str, jobs: int | None, scheduler: str | None = None) -> StepJob:
         """Return what it takes to run a step; items of it that are done need not be done again."""
-        step = self.order.steps[name]
+        step = self.chosen[name]
         how = {
             "jobs": jobs,
             "scheduler": scheduler,
@@ -260,7 +259,7 @@ class _PipelineRun:
 
     def end(self, name: str, reason: str, result: StepResult) -> None:
         """Note the result of a step, and record it if it succeeded."""
-        step = self.order.steps[name]
+        step = self.chosen[name]
         if result.error is None:
             self.state.keep(step, result, self.files(step))
         else:

@@ -1,12 +1,12 @@
 """What a pipeline is reported as: the table with the worst step first, and the document for --json."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from camcal import messages
 from camcal.errors import EXIT_BUG, EXIT_PRECEDENCE, CamcalError
-from camcal.messages import counted
+from camcal.messages import Message, counted
 from camcal.report.table import Column
 from camcal.tasks.pipelines.run_pipeline import DONE, FAILED, NOT_RUN, UP_TO_DATE, WOULD_RUN, PipelineReport, StepReport
 from camcal.tasks.pipelines.step import families, name_of
@@ -104,6 +104,16 @@ def verdict(report: PipelineReport) -> str:
 def is_good(report: PipelineReport) -> bool:
     """Return whether no step failed, and every result may be trusted."""
     return report.code == 0 and not any(each.result.failures for each in report.steps)
+
+
+def of_step(each: StepReport, message: Message) -> Message:
+    """Return a message with the name of its step before its place."""
+    return replace(message, where=": ".join(filter(None, (each.name, message.where))))
+
+
+def doubts(report: PipelineReport) -> list[Message]:
+    """Return why results of steps that did not fail are not to be trusted."""
+    return [of_step(each, found) for each in report.steps if not each.result.error for found in each.result.failures]
 
 
 def distributions(report: PipelineReport) -> Iterator[tuple[str, list[float]]]:
