@@ -1,6 +1,6 @@
-"""OpenCV functions for target detection, the same with 4.14 and 5.x, and reproducible."""
+"""OpenCV functions that are the same with 4.14 and 5.x, reproducible, and for images of any size."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
 import cv2
@@ -11,7 +11,8 @@ from camcal.errors import InvalidInput
 from camcal.parsing import nearest
 
 _SEED_LIMIT = 1 << 31
-_REMAP_LIMIT = 1 << 15  # cv2.remap refuses maps with longer sides
+LONGEST_REMAPPED = 32766  # pixels; cv2.remap refuses images and maps with a longer side
+_KERNEL = 8  # pixels around a position that no interpolation goes beyond
 
 
 @contextmanager
@@ -50,13 +51,62 @@ def largest_around(values: Array, window: int) -> Array:
     return np.asarray(cv2.dilate(values, np.ones((window, window), np.uint8)))
 
 
+def remap(
+    image: Array,
+    x: Array,
+    y: Array,
+    interpolation: int = cv2.INTER_LINEAR,
+    border: int = cv2.BORDER_REPLICATE,
+    value: Sequence[float] = (),
+    result: Array | None = None,
+) -> Array:
+    """Return an image (h, w[, C]) at pixels x, y (H, W) float32, as cv2.remap does, with sides of any length.
+
+    Longer sides than OpenCV takes are drawn in tiles, each from the part of the image that it shows: the numbers are
+    the same. border, value: of cv2.remap. result: the array to draw into.
+    """
+    if result is None:
+        result = np.empty((*x.shape, *image.shape[2:]), image.dtype)
+    if max(*image.shape[:2], *x.shape) <= LONGEST_REMAPPED:
+        cv2.remap(image, x, y, interpolation, result, border, value)
+        return result
+    rows, columns = (_reached(places, side, border) for places, side in ((y, image.shape[0]), (x, image.shape[1])))
+    if max(*x.shape, rows.stop - rows.start, columns.stop - columns.start) <= LONGEST_REMAPPED:
+        near_x, near_y = x - np.float32(columns.start), y - np.float32(rows.start)
+        result[...] = cv2.remap(image[rows, columns], near_x, near_y, interpolation, None, border, value)
+        return result
+    for part in _halves(x.shape):
+        remap(image, x[part], y[part], interpolation, border, value, result[part])
+    return result
+
+
+def _reached(places: Array, side: int, border: int) -> slice:
+    """Return the range of a side of an image that is shown where one coordinate of positions is `places`."""
+    inside = np.clip(places, 0, side - 1)
+    if border == cv2.BORDER_CONSTANT:  # what lies farther outside shows nothing of the image
+        inside = inside[np.abs(places - inside) <= _KERNEL]
+    low, high = (float(reduce(inside, axis=None, initial=np.nan)) for reduce in (np.fmin.reduce, np.fmax.reduce))
+    if np.isnan(low):
+        return slice(0, 1)
+    return slice(max(0, int(low) - _KERNEL), min(side, int(high) + 1 + _KERNEL))
+
+
+def _halves(shape: tuple[int, ...]) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
+    """Return the halves of an array across its longer side."""
+    height, width = shape
+    whole = slice(None)
+    if width >= height:
+        return (whole, slice(width // 2)), (whole, slice(width // 2, None))
+    return (slice(height // 2), whole), (slice(height // 2, None), whole)
+
+
 def sampled(image: Array, x: Array, y: Array) -> Array:
     """Return the values (N, K) of an image (H, W) uint8 or float32 at pixels x, y (N, K), linear between pixels."""
     if not x.size:
         return np.zeros(x.shape, np.float32)
-    shape = (1, -1) if x.size < _REMAP_LIMIT else x.shape
+    shape = (1, -1) if x.size <= LONGEST_REMAPPED else x.shape
     x, y = (np.ascontiguousarray(places, dtype=np.float32) for places in (x, y))
-    values = cv2.remap(image, x.reshape(shape), y.reshape(shape), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    values = remap(image, x.reshape(shape), y.reshape(shape))
     return np.asarray(values, dtype=np.float32).reshape(x.shape)
 
 

@@ -18,6 +18,7 @@ from camcal.cameras.model import Camera
 from camcal.cameras.validity import ImageCircle
 from camcal.errors import InvalidInput
 from camcal.images.image import Scratch
+from camcal.opencv import LONGEST_REMAPPED, remap
 
 NEAREST_TRUNCATE = "nearest-truncate"
 INTERPOLATIONS: Mapping[str, int] = MappingProxyType(
@@ -30,7 +31,7 @@ INTERPOLATIONS: Mapping[str, int] = MappingProxyType(
     }
 )
 CHANNELS = ("blue", "green", "red")  # of a colour image, in its order
-LONGEST_SIDE = 32766  # pixels of a map are counted in 16 bits by OpenCV
+LONGEST_SIDE = 1 << 20  # pixels, of images that OpenCV reads
 STEP = 16  # pixels between nodes, and rows in a band: a band of two maps stays in the processor's cache
 ACCURACY = 2e-4  # px, at the middle of a cell, where a cubic is farthest off
 
@@ -93,7 +94,8 @@ class Maps:
     def draw(self, pixels: Array, value: Sequence[float], scratch: Scratch, result: Array) -> None:
         """Draw all channels of an image alike into `result`; value: four numbers for the border, one a channel."""
         colour = pixels.dtype == np.uint8 and pixels.shape[2:] == (3,)
-        if _FOUR_ARE_FASTER and colour and self.interpolation == "linear":
+        short = max(*pixels.shape[:2], *self.x.shape) <= LONGEST_REMAPPED
+        if _FOUR_ARE_FASTER and colour and short and self.interpolation == "linear":
             self._draw_with_alpha(pixels, value, scratch, result)
             return
         narrow = INTERPOLATIONS[self.interpolation] in (cv2.INTER_NEAREST, cv2.INTER_LINEAR)
@@ -107,7 +109,7 @@ class Maps:
     def _draw(self, pixels: Array, border: int, value: Sequence[float], result: Array) -> None:
         flag = INTERPOLATIONS[self.interpolation]
         for rows in self._bands():
-            cv2.remap(pixels, self.x[rows], self.y[rows], flag, result[rows], border, value)
+            remap(pixels, self.x[rows], self.y[rows], flag, border, value, result[rows])
 
     def _draw_with_alpha(self, pixels: Array, value: Sequence[float], scratch: Scratch, result: Array) -> None:
         """Draw colour by way of colour with alpha, which gives the same numbers in three quarters of the time."""
@@ -136,7 +138,7 @@ def build_maps(
     circle: the source's image circle; what would come from outside of it has no source.
     Positions are good to 1e-3 px; for nearest-truncate they are the model's own, so that a textbook's loop over all
     pixels gives the same image.
-    Raises InvalidInput for an unknown interpolation or an image with a side of 32 767 pixels or more.
+    Raises InvalidInput for an unknown interpolation or a side of more than 1 048 576 pixels.
     """
     if interpolation not in INTERPOLATIONS:
         raise InvalidInput(f"interpolation {interpolation!r} is unknown; use one of {', '.join(INTERPOLATIONS)}")

@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
-import untrusted_seeds
+from untrusted_readers import READERS
 
 HARNESS = Path(__file__).with_name("untrusted_run.py")
 CASES = 130  # every reader once
@@ -34,4 +34,4 @@ def test_many_damaged_files_end_in_one_line_and_a_documented_exit():
 
 
 def test_every_reader_of_the_harness_meets_a_case():
-    assert len(untrusted_seeds.READERS) <= CASES
+    assert len(READERS) <= CASES

@@ -1,11 +1,12 @@
 """How a good file is damaged: by bytes, by the numbers and words of a text, and inside checksums and archives."""
 
+import base64
 import io
 import re
 import struct
 import zipfile
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
@@ -15,12 +16,16 @@ NUMBERS = (
     "nan", "inf", "-inf", "1e308", "-1e308", "1e-320", "1e400", "-0.0", "0", "-1", "1_0", "１", "٣", "0x10", "1e5000",
     "9" * 5000, "", "1e", "+", "999999999999999999999", "3.4e38", "-3.4e38", "1e-45", "true", "null", "2147483648", ".",
     "4294967295", "-9223372036854775808", "1d3", "1,0", "--1", "1e+", "NaN(1)", "infinity", "=1+1", "'1'", "1j",
+    "99999999999", "1e18", "65535", "32768", "-32769", "0.5", "[]", "{}", "[1, 2]", "{a: 1}", '""', '{"a": 1}', "[[1]]",
 )  # fmt: skip
 WORDS = (
     "\x1b[31mred\x1b[0m", "\u202e", "\u2028", "\x00", "\r", "a\nb", "=cmd|' /C calc'!A0", "@SUM(1)", "../../x", "😀",
     "A" * 300, '"', "'", "#", ":", "- ", "{", "[", "&a", "*a", "!!python/object:os.system", "%", "\ufeff", "\\", ",,,",
 )  # fmt: skip
+_NOT_UTF8 = (b"\xff", b"\xc3", b"\xed\xa0\x80", b"\xc0\x80", b"\xf5\x80\x80\x80", b"\xe2\x82", b"\x80" * 40)
 _NUMBER = re.compile(rb"[-+]?[0-9]+\.?[0-9]*(?:[eE][-+]?[0-9]+)?")
+_VALUE = re.compile(rb"[:,=][ \t]*([^\s,:=\]}]+)")
+_KINDS = ("null", "true", "[]", "{}", "[1, 2]", '["a"]', '{"a": 1}', '""', "text", "1", "-1.5", "2026-11-21", "[[[]]]")
 _TEXT_HEADER = 400  # bytes at the start of a binary file in which its numbers may stand as text
 _SIZES = (0, 1, 0x7F, 0xFF, 0x7FFF, 0xFFFF, 0x10000, 0x7FFFFFFF, 0x80000000, 0xFFFFFFFF, 20000, 65535 * 4)
 
@@ -115,6 +120,33 @@ def other_encoding(content: bytes, rng: np.random.Generator) -> bytes:
     return text.encode(code, "replace") if rng.random() < 0.7 else content.replace(b"\n", b"\r\n")
 
 
+def wrong_bytes(content: bytes, rng: np.random.Generator) -> bytes:
+    """Put bytes that are no UTF-8 somewhere: half a letter, a surrogate, a letter written too long."""
+    for _ in range(int(rng.integers(1, 4))):
+        at = _place(rng, len(content))
+        content = content[:at] + _NOT_UTF8[int(rng.integers(len(_NOT_UTF8)))] + content[at:]
+    return content
+
+
+def wrong_types(content: bytes, rng: np.random.Generator) -> bytes:
+    """Put a value of another kind in the place of one after a colon or a comma."""
+    found = list(_VALUE.finditer(content))
+    if not found:
+        return content
+    place = found[int(rng.integers(len(found)))]
+    return content[: place.start(1)] + str(rng.choice(_KINDS)).encode() + content[place.end(1) :]
+
+
+def doubled(content: bytes, rng: np.random.Generator) -> bytes:
+    """Write the file twice, or one block of its lines many times."""
+    if rng.random() < 0.5:
+        return content * 2
+    lines = content.split(b"\n")
+    start = int(rng.integers(len(lines)))
+    block = lines[start : start + int(rng.integers(1, 20))]
+    return b"\n".join([*lines[:start], *(block * int(rng.choice([2, 50]))), *lines[start:]])
+
+
 def open_quote(content: bytes, rng: np.random.Generator) -> bytes:
     at = _place(rng, len(content))
     return content[:at] + b'"' + content[at:] + b"1,2,3\n" * int(rng.choice([1, 10_000]))
@@ -180,19 +212,66 @@ def inside_zip(content: bytes, rng: np.random.Generator) -> bytes:
     return packed.getvalue()
 
 
+def inside_tiff(content: bytes, rng: np.random.Generator) -> bytes:
+    """Write another kind, count or value into an entry of the first directory of a TIFF or DNG file."""
+    order = "<" if content.startswith(b"II") else ">"
+    (at,) = struct.unpack_from(f"{order}I", content, 4)
+    (entries,) = struct.unpack_from(f"{order}H", content, at)
+    entry = at + 2 + 12 * int(rng.integers(entries))
+    result = bytearray(content)
+    if rng.random() < 0.3:
+        struct.pack_into(f"{order}H", result, entry + 2, int(rng.integers(20)))
+    else:
+        struct.pack_into(f"{order}I", result, entry + int(rng.choice([4, 8])), int(rng.choice(_SIZES)))
+    return bytes(result)
+
+
+def inside_jpeg(content: bytes, rng: np.random.Generator) -> bytes:
+    """Damage a segment of a JPEG file: its length, or what its header says."""
+    starts, at = [], 2
+    while at + 4 <= len(content) and content[at] == 0xFF and content[at + 1] != 0xDA:
+        starts.append(at)
+        at += 2 + int.from_bytes(content[at + 2 : at + 4], "big")
+    start = starts[int(rng.integers(len(starts)))]
+    result = bytearray(content)
+    place = start + int(rng.choice([2, 5, 7, int(rng.integers(2, 20))]))
+    result[place : place + 2] = (int(rng.choice(_SIZES)) & 0xFFFF).to_bytes(2, "big")
+    return bytes(result)
+
+
+def inside_report(content: bytes, rng: np.random.Generator) -> bytes:
+    """Damage what a report carries: its JSON, or its detections, which are packed again."""
+    name = b"camcal-run" if rng.random() < 0.5 else b"camcal-detections"
+    match = re.search(rb'<script[^>]*id="' + name + rb'"[^>]*>(.*?)</script>', content, re.DOTALL)
+    if match is None:
+        return content
+    text = match[1] if name == b"camcal-run" else zlib.decompress(base64.b64decode(match[1]))
+    text = TEXT[int(rng.integers(len(TEXT)))](text, rng)
+    packed = text if name == b"camcal-run" else base64.b64encode(zlib.compress(text))
+    return content[: match.start(1)] + packed + content[match.end(1) :]
+
+
 BYTES: tuple[Mutation, ...] = (cut_off, flip_bits, huge_size, extreme_floats, move_bytes, other_kind)
 TEXT: tuple[Mutation, ...] = (
-    *(wrong_numbers, wrong_numbers, wrong_numbers, wrong_words, wrong_lines, deep_nesting, other_encoding, open_quote),
-    *(cut_off, flip_bits, move_bytes, other_kind),
+    *(wrong_numbers, wrong_numbers, wrong_numbers, wrong_types, wrong_types, wrong_words, wrong_bytes, wrong_lines),
+    *(doubled, deep_nesting, other_encoding, open_quote, cut_off, flip_bits, move_bytes, other_kind),
 )
-_INSIDE: dict[str, Mutation] = {".png": inside_png, ".npy": inside_npy, ".npz": inside_zip}
+_INSIDE: Mapping[str, Mutation] = {
+    ".png": inside_png,
+    ".npy": inside_npy,
+    ".npz": inside_zip,
+    ".tiff": inside_tiff,
+    ".dng": inside_tiff,
+    ".jpg": inside_jpeg,
+    ".html": inside_report,
+}
 
 
 def mutations_of(name: str, content: bytes) -> tuple[Mutation, ...]:
     """Return what can be done to a file of this name and content."""
-    if _is_text(content):
-        return TEXT
     inside = _INSIDE.get(name[name.rindex(".") :])
+    if _is_text(content):
+        return (*TEXT, *([inside] * len(TEXT) if inside else []))
     return (*BYTES, wrong_numbers, *([inside] * 3 if inside else []))
 
 

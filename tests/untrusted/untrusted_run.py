@@ -1,13 +1,10 @@
 """Damaged files through every command: each in a process of its own with little memory, and what it did wrong.
 
-    python tests/untrusted/untrusted_run.py --cases 5000 --seed 1
-
-prints every violation with the seed that repeats it, and the totals. A case is right if the command ends with a
-documented exit code, says what is wrong in lines of its own (no traceback, no raw warning, no control characters),
-stays within its memory and time, and leaves nothing behind but its result.
+A case is right if the command ends with a documented exit code, says what is wrong in lines of its own (no traceback,
+no raw warning, no control characters), stays within its memory and time, and leaves nothing behind but its result.
+`benchmarks/fuzz.py` runs thousands.
 """
 
-import argparse
 import os
 import re
 import resource
@@ -15,11 +12,8 @@ import shutil
 import signal
 import struct
 import sys
-import tempfile
-import time
 import zipfile
 import zlib
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -35,6 +29,7 @@ for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 
 import untrusted_mutations  # noqa: E402
 import untrusted_seeds  # noqa: E402
+from untrusted_readers import READERS, Reader  # noqa: E402
 
 MEMORY = 700 << 20  # bytes that a command may take beyond what its imports have
 MAX_PIXELS = "20000000"  # little, so that no damaged header asks for much within the limit
@@ -51,7 +46,7 @@ _WARNING = re.compile(r"\w+Warning:")
 class Case:
     """A command line, the damaged file, and the name of what was done to it."""
 
-    reader: untrusted_seeds.Reader
+    reader: Reader
     mutation: str
     seed: int
     content: bytes
@@ -59,13 +54,14 @@ class Case:
 
 @dataclass(frozen=True)
 class Ended:
-    """How a command ended: exit code (below 0 a signal), what it printed, what it left, peak memory in bytes."""
+    """How a command ended: exit code (below 0 a signal), what it printed, what it left, bytes and seconds it took."""
 
     code: int
     out: str
     err: str
     left: tuple[str, ...]
     peak: int
+    seconds: float
     ran_out: bool
 
 
@@ -138,13 +134,13 @@ def make_good_files(folder: Path) -> None:
 
 def cases(good: Path, count: int, seed: int, only: str = "") -> Iterator[Case]:
     """Yield damaged files, every reader in turn."""
-    readers = [reader for reader in untrusted_seeds.READERS if only in reader.name or only in reader.command]
+    readers = [reader for reader in READERS if only in reader.name or only in reader.command]
     for number in range(count):
         reader = readers[number % len(readers)]
         yield case(good, reader, seed * 1_000_003 + number)
 
 
-def case(good: Path, reader: untrusted_seeds.Reader, seed: int) -> Case:
+def case(good: Path, reader: Reader, seed: int) -> Case:
     """Return the case that a seed makes for a reader."""
     rng = np.random.default_rng([seed, zlib.crc32(reader.command.encode())])
     content = (good / reader.file).read_bytes()
@@ -186,7 +182,7 @@ def run(case: Case, good: Path, room: Path) -> Ended:
     out, err = ((room.parent / name).read_text(errors="replace") for name in ("out.txt", "err.txt"))
     left = tuple(str(path.relative_to(room)) for path in room.rglob("*") if path.is_file() and path.name not in before)
     code = os.waitstatus_to_exitcode(status)
-    return Ended(code, out, err, left, usage.ru_maxrss << 10, "out of memory" in err)
+    return Ended(code, out, err, left, usage.ru_maxrss << 10, usage.ru_utime + usage.ru_stime, "out of memory" in err)
 
 
 def _serve(arguments: list[str], room: Path) -> None:
@@ -246,37 +242,3 @@ def violations(ended: Ended) -> list[str]:
     if ended.ran_out:
         found.append(f"out of memory: {ended.err.strip().splitlines()[-1][:160]}")
     return found
-
-
-def main() -> int:
-    """Run cases, print what is wrong, and return the exit code."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--cases", type=int, default=5000)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--only", default="", help="readers or command lines that hold this text")
-    parser.add_argument("--keep", type=Path, help="folder for the damaged files of violations")
-    options = parser.parse_args()
-    started = time.monotonic()
-    load_everything()
-    wrong, codes, peak = 0, Counter(), 0
-    with tempfile.TemporaryDirectory() as folder:
-        good, room = Path(folder) / "good", Path(folder) / "case"
-        make_good_files(good)
-        for each in cases(good, options.cases, options.seed, options.only):
-            ended = run(each, good, room)
-            codes[ended.code] += 1
-            peak = max(peak, ended.peak)
-            for fault in violations(ended):
-                wrong += 1
-                print(f"{each.reader.name} | {each.mutation} | seed {each.seed}: {fault}", flush=True)  # noqa: T201
-                if options.keep:
-                    options.keep.mkdir(parents=True, exist_ok=True)
-                    (options.keep / f"{each.seed}-{each.reader.file}").write_bytes(each.content)
-    seconds = time.monotonic() - started
-    shown = ", ".join(f"{code}: {count}" for code, count in sorted(codes.items()))
-    print(f"{options.cases} cases in {seconds:.0f} s, {wrong} violations; exits {shown}; peak {peak >> 20} MB")  # noqa: T201
-    return min(wrong, 1)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -13,6 +13,7 @@ import numpy as np
 from scipy import ndimage
 
 from camcal.arrays import Array
+from camcal.opencv import remap
 from camcal.stereo.disparity import Confidence
 from camcal.stereo.matching.matchers import Fused
 from camcal.stereo.matching.preparation import GrayPair
@@ -380,7 +381,7 @@ def _misfit(view: _View, disparity: Array) -> Array:
     """Return by how much the images differ (h, w), gray levels, where disparities lay them on each other."""
     height, width = disparity.shape
     across, down = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))
-    drawn = cv2.remap(view.right, across - disparity, down, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    drawn = remap(view.right, across - disparity, down)
     return np.minimum(cv2.absdiff(view.left, drawn).astype(np.float32), _MOST_MISFIT)
 
 

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 
 from camcal.arrays import Array
+from camcal.opencv import remap
 from camcal.stereo.disparity import Confidence
 from camcal.stereo.matching.filling import everywhere, from_the_background, smoothed
 from camcal.stereo.matching.matchers import Fused, ordering_holds, without_speckles
@@ -110,7 +111,7 @@ def _refined(words: Array, right: Array, disparity: Array) -> Array:
     across, down = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))
     costs = np.empty((3, height, width), np.float32)
     for cost, step in zip(costs, (-1, 0, 1), strict=True):
-        drawn = cv2.remap(right, across - disparity - step, down, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+        drawn = remap(right, across - disparity - step, down, cv2.INTER_CUBIC)
         differing = np.bitwise_count(words ^ census(drawn))
         cv2.boxFilter(differing, cv2.CV_32F, _AROUND, dst=cost, normalize=False)
     lowest = (costs[1] <= costs[0]) & (costs[1] <= costs[2])

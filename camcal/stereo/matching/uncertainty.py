@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 
 from camcal.arrays import Array
+from camcal.opencv import remap
 from camcal.stereo.disparity import Confidence
 from camcal.stereo.matching.filling import Filled
 from camcal.stereo.matching.matchers import Fused
@@ -123,7 +124,7 @@ def _residual(pair: GrayPair, disparity: Array) -> Array:
     height, width = disparity.shape
     across, down = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))
     left, right = (cv2.GaussianBlur(image.astype(np.float32), (0, 0), _BLUR) for image in (pair.left, pair.right))
-    off = left - cv2.remap(right, across - disparity, down, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    off = left - remap(right, across - disparity, down)
     mean = cv2.boxFilter(off, cv2.CV_32F, _CLOSE)
     return np.asarray(np.sqrt(np.maximum(cv2.boxFilter(off**2, cv2.CV_32F, _CLOSE) - mean**2, 0)))
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from camcal.arrays import Array, readonly, require_shape
 from camcal.errors import InvalidInput
-from camcal.opencv import resized
+from camcal.opencv import remap, resized
 
 SEARCH_WIDTHS = (128, 256)  # px of width; the first look is for all disparities up to half the width, either sign
 
@@ -181,7 +181,7 @@ def _alike(left: Array, right: Array, disparity: Array) -> Array:
     """Return the mask (H, W) of pixels whose surroundings correlate with what the disparity says is the same."""
     across, down = np.meshgrid(*(np.arange(count, dtype=np.float32) for count in reversed(left.shape)))
     across -= disparity
-    there = cv2.remap(right, across, down, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
+    there = remap(right, across, down, border=cv2.BORDER_CONSTANT)
     product = cv2.blur(left * there, _SURROUNDINGS)
     powers = cv2.blur(left * left, _SURROUNDINGS) * cv2.blur(there * there, _SURROUNDINGS)
     inside = (across >= 0) & (across <= left.shape[1] - 1)

@@ -1,0 +1,93 @@
+"""Damaged files through every command: exit codes by command and by kind of file, peak memory, longest time.
+
+A damaged file is a good one with flipped bits, a piece cut off or doubled, other numbers, sizes, types or bytes, deep
+nesting, or damage inside of its checksums and archives. Each goes through the command line in a process of its own,
+limited in memory and time. Every violation is printed with the seed that repeats it: another exit code than the
+documented ones, a traceback, lines that are not camcal's own, a half-written or left-over file, too much memory or time.
+
+    python benchmarks/fuzz.py [--cases 10000] [--seed 1] [--only "stereo cloud"] [--keep FOLDER]
+"""
+
+import argparse
+import sys
+import tempfile
+import time
+from collections import Counter, defaultdict
+from collections.abc import Iterable
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "untrusted"))
+
+import untrusted_run
+from untrusted_readers import Reader
+from untrusted_run import Ended
+
+EXITS = (0, 2, 3, 4, 5, 6, 7)
+
+
+def kind(name: str) -> str:
+    """Return the suffix of a file, or its name where it has none."""
+    return Path(name).suffix or name
+
+
+def table(title: str, runs: Iterable[tuple[str, Ended]]) -> str:
+    """Return a table of exit codes, with a row for each name and one for all."""
+    rows: dict[str, list[Ended]] = defaultdict(list)
+    for name, ended in runs:
+        rows[name].append(ended)
+    everything = [ended for group in rows.values() for ended in group]
+    head = [title, "cases", *(f"exit {code}" for code in EXITS), "others", "longest, s", "peak, MB"]
+    lines = [_row(head), _row("---" if not k else "---:" for k in range(len(head)))]
+    return "\n".join(
+        lines + [_row(_cells(name, group)) for name, group in [*sorted(rows.items()), ("all", everything)]]
+    )
+
+
+def _cells(name: str, group: list[Ended]) -> list[str]:
+    codes = Counter(ended.code for ended in group)
+    counts = [codes[code] for code in EXITS]
+    longest, peak = max(ended.seconds for ended in group), max(ended.peak for ended in group)
+    return [
+        name,
+        *(str(count) for count in (len(group), *counts, len(group) - sum(counts))),
+        f"{longest:.1f}",
+        str(peak >> 20),
+    ]
+
+
+def _row(cells: Iterable[str]) -> str:
+    return f"| {' | '.join(cells)} |"
+
+
+def main() -> int:
+    """Run cases, print what is wrong and the tables, and return the exit code."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--cases", type=int, default=10_000)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--only", default="", help="readers or command lines that hold this text")
+    parser.add_argument("--keep", type=Path, help="folder for the damaged files of violations")
+    options = parser.parse_args()
+    started = time.monotonic()
+    untrusted_run.load_everything()
+    runs: list[tuple[Reader, Ended]] = []
+    wrong = 0
+    with tempfile.TemporaryDirectory() as folder:
+        good, room = Path(folder) / "good", Path(folder) / "case"
+        untrusted_run.make_good_files(good)
+        for each in untrusted_run.cases(good, options.cases, options.seed, options.only):
+            ended = untrusted_run.run(each, good, room)
+            runs.append((each.reader, ended))
+            for fault in untrusted_run.violations(ended):
+                wrong += 1
+                print(f"{each.reader.name} | {each.mutation} | seed {each.seed}: {fault}", file=sys.stderr, flush=True)
+                if options.keep:
+                    options.keep.mkdir(parents=True, exist_ok=True)
+                    (options.keep / f"{each.seed}-{each.reader.file}").write_bytes(each.content)
+    print(table("command", ((reader.verb, ended) for reader, ended in runs)), end="\n\n")
+    print(table("file", ((kind(reader.file), ended) for reader, ended in runs)), end="\n\n")
+    print(f"{len(runs)} cases, {wrong} violations, {(time.monotonic() - started) / 60:.0f} minutes.")
+    return min(wrong, 1)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
