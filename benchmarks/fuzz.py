@@ -3,7 +3,7 @@
 A damaged file is a good one with flipped bits, a piece cut off or doubled, other numbers, sizes, types or bytes, deep
 nesting, or damage inside of its checksums and archives. Each goes through the command line in a process of its own,
 limited in memory and time. Every violation is printed with the seed that repeats it: another exit code than the
-documented ones, a traceback, lines that are not camcal's own, a half-written or left-over file, too much memory or time.
+documented ones, a traceback, lines that are not camcal's own, a file left behind, too much memory or time.
 
     python benchmarks/fuzz.py [--cases 10000] [--seed 1] [--only "stereo cloud"] [--keep FOLDER]
 """

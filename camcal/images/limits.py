@@ -3,8 +3,9 @@
 import os
 from pathlib import Path
 
-from camcal.errors import FileError
+from camcal.errors import FileError, InvalidInput
 
+LONGEST_SIDE = 1 << 20  # pixels, of images that OpenCV reads
 DEFAULT_MAX_PIXELS = 300_000_000
 VARIABLE = "OPENCV_IO_MAX_IMAGE_PIXELS"  # OpenCV's own; worker processes inherit it
 
@@ -23,6 +24,16 @@ def max_pixels() -> int:
     """Return how many pixels an image may have."""
     said = os.environ.get(VARIABLE, "")
     return int(said) if said.isascii() and said.isdigit() else DEFAULT_MAX_PIXELS
+
+
+def require_view(size: tuple[int, int]) -> None:
+    """Raise InvalidInput if a view of `size` (width, height) has more pixels than are allowed, or too long a side."""
+    width, height = size
+    if max(size) > LONGEST_SIDE:
+        raise InvalidInput(f"{width}x{height} has a side of more than {LONGEST_SIDE} pixels, which is the limit")
+    if width * height > max_pixels():
+        megapixels, allowed = width * height / 1e6, max_pixels() / 1e6
+        raise InvalidInput(f"a view of {width}x{height} has {megapixels:.0f} million pixels, --max-pixels {allowed:g}")
 
 
 def require_pixels(size: tuple[int, int], path: Path) -> None:

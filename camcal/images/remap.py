@@ -18,6 +18,7 @@ from camcal.cameras.model import Camera
 from camcal.cameras.validity import ImageCircle
 from camcal.errors import InvalidInput
 from camcal.images.image import Scratch
+from camcal.images.limits import require_view
 from camcal.opencv import LONGEST_REMAPPED, remap
 
 NEAREST_TRUNCATE = "nearest-truncate"
@@ -31,7 +32,6 @@ INTERPOLATIONS: Mapping[str, int] = MappingProxyType(
     }
 )
 CHANNELS = ("blue", "green", "red")  # of a colour image, in its order
-LONGEST_SIDE = 1 << 20  # pixels, of images that OpenCV reads
 STEP = 16  # pixels between nodes, and rows in a band: a band of two maps stays in the processor's cache
 ACCURACY = 2e-4  # px, at the middle of a cell, where a cubic is farthest off
 
@@ -138,13 +138,12 @@ def build_maps(
     circle: the source's image circle; what would come from outside of it has no source.
     Positions are good to 1e-3 px; for nearest-truncate they are the model's own, so that a textbook's loop over all
     pixels gives the same image.
-    Raises InvalidInput for an unknown interpolation or a side of more than 1 048 576 pixels.
+    Raises InvalidInput for an unknown interpolation, or images or views of more pixels than are allowed.
     """
     if interpolation not in INTERPOLATIONS:
         raise InvalidInput(f"interpolation {interpolation!r} is unknown; use one of {', '.join(INTERPOLATIONS)}")
     for size in (source.image_size, view.image_size):
-        if max(size) > LONGEST_SIDE:
-            raise InvalidInput(f"{size[0]}x{size[1]} has a side of more than {LONGEST_SIDE} pixels, which is the limit")
+        require_view(size)
     turn = None if source_R_view is None else readonly(source_R_view, (3, 3), "source_R_view")
     trace = Trace(source, view, turn, circle)
     width, height = view.image_size

@@ -13,8 +13,9 @@ from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera, CameraModel
 from camcal.cameras.validity import ImageCircle, rim
 from camcal.errors import InvalidInput
+from camcal.images.limits import require_view
 from camcal.images.options import PINHOLE, ViewOptions
-from camcal.images.remap import LONGEST_SIDE, Trace
+from camcal.images.remap import Trace
 
 PANORAMAS = {model.name: model for model in panoramic.MODELS}
 PROJECTIONS = (PINHOLE, *PANORAMAS)
@@ -139,8 +140,10 @@ def require_possible(projection: str, size: tuple[int, int] | None, fov_deg: flo
     """Raise InvalidInput for a projection that does not exist, and what no view of it can have; None is open."""
     if projection not in PROJECTIONS:
         raise InvalidInput(f"projection {projection!r} is unknown; use one of {', '.join(PROJECTIONS)}")
-    if size is not None and not 2 <= min(size) <= max(size) <= LONGEST_SIDE:
-        raise InvalidInput("a view has 2 … {} pixels a side, asked for {}x{}".format(LONGEST_SIDE, *size))
+    if size is not None:
+        if min(size) < 2:
+            raise InvalidInput("a view has at least 2 pixels a side, asked for {}x{}".format(*size))
+        require_view(size)
     if fov_deg is None:
         return
     if not isfinite(fov_deg) or fov_deg <= 0:

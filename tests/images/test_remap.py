@@ -6,10 +6,12 @@ import cv2
 import numpy as np
 import pytest
 
+from camcal import opencv
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.cameras.validity import ImageCircle
 from camcal.errors import InvalidInput
+from camcal.images import remap
 from camcal.images.image import Scratch
 from camcal.images.options import ViewOptions
 from camcal.images.remap import INTERPOLATIONS, STEP, Maps, Trace, bands, build_maps, exact_bands
@@ -217,11 +219,42 @@ def test_a_border_that_does_not_fit_is_refused(border, words):
         build_maps(IDEAL, IDEAL).apply(np.zeros((40, 60, 3), np.uint8), (np.nan,))
 
 
-def test_sides_that_opencv_cannot_count_are_refused():
-    long = camera("pinhole", (32767, 10), 50.0, 50, 30, 5)
-    for pair in ((long, IDEAL), (IDEAL, long)):
-        with pytest.raises(InvalidInput, match="32767x10 has a side of more than 32766 pixels"):
+def test_views_and_images_of_more_pixels_than_are_allowed_are_refused():
+    large = camera("pinhole", (30_000, 20_000), 50.0, 50, 30, 5)
+    for pair in ((large, IDEAL), (IDEAL, large)):
+        with pytest.raises(InvalidInput, match="30000x20000 has 600 million pixels, --max-pixels 300"):
             build_maps(*pair)
+
+
+@pytest.mark.parametrize("interpolation", ["nearest", "linear", "cubic", "lanczos"])
+@pytest.mark.parametrize(("dtype", "channels"), [(np.uint8, 3), (np.uint16, 1), (np.float32, 1)])
+def test_an_image_drawn_in_tiles_is_the_image_drawn_at_once(monkeypatch, interpolation, dtype, channels):
+    pixels = np.random.default_rng(4).integers(8, 200, (480, 752, channels)).astype(dtype).squeeze()
+    maps = build_maps(EUROC, make_view(EUROC, ViewOptions(alpha=1.0)), interpolation)
+    whole = maps.apply(pixels, (7.0,))
+    assert (whole == 7).mean() > 0.01
+    for module in (opencv, remap):
+        monkeypatch.setattr(module, "LONGEST_REMAPPED", 90)
+    np.testing.assert_array_equal(maps.apply(pixels, (7.0,)), whole)
+
+
+@pytest.mark.parametrize("longer", [(40, 33_000), (33_000, 40)])
+def test_sides_that_opencv_cannot_count_are_drawn(longer):
+    height, width = longer
+    long = camera("pinhole", (width, height), 30_000.0, 30_000, (width - 1) / 2, (height - 1) / 2)
+    pixels = np.random.default_rng(5).integers(0, 255, longer, np.uint8)
+    drawn = build_maps(long, long).apply(pixels)
+    # a position beyond 32 768 is a float32 in steps of 0.004 px
+    np.testing.assert_allclose(drawn.astype(int), pixels, atol=1)
+
+
+@pytest.mark.parametrize("border", [cv2.BORDER_CONSTANT, cv2.BORDER_REPLICATE])
+def test_positions_far_outside_of_a_long_image_show_its_border(border):
+    image = np.arange(2 * 40_000, dtype=np.float32).reshape(2, -1)
+    x = np.array([[-50.0, 0, 39_999, 41_000]], np.float32)
+    first, *inside, last = opencv.remap(image, x, np.zeros_like(x), border=border, value=(5.0,))[0]
+    assert inside == [0, 39_999]
+    assert (first, last) == ((5, 5) if border == cv2.BORDER_CONSTANT else (0, 39_999))
 
 
 def test_an_unknown_interpolation_is_refused_with_those_there_are():

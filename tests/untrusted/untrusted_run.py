@@ -36,7 +36,7 @@ MAX_PIXELS = "20000000"  # little, so that no damaged header asks for much withi
 TIME_S = 20.0  # of the processor
 DOCUMENTED = {0, 2, 3, 4, 5, 6, 7}
 WITHOUT_OUTPUT = {2, 3, 4, 5}
-LONGEST_LINE = 1000
+LONGEST_LINE = 4100
 
 _CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2028\u2029]")
 _WARNING = re.compile(r"\w+Warning:")

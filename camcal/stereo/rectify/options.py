@@ -5,6 +5,7 @@ from math import isfinite
 from typing import Annotated
 
 from camcal.errors import InvalidInput
+from camcal.images.limits import require_view
 from camcal.options import SIZE, Option, OptionsRecord, separated
 
 VIEW = "View"  # title of these options
@@ -78,5 +79,7 @@ class RectifiedViewOptions(OptionsRecord):
             raise InvalidInput("--scale and --size exclude each other")
         if self.fov_deg is not None and not all(0 < angle < 360 for angle in self.fov_deg):
             raise InvalidInput("--fov: a field of view is between 0° and 360°")
-        if self.size is not None and min(self.size) < 2:
-            raise InvalidInput("--size: at least 2x2 pixels")
+        if self.size is not None:
+            if min(self.size) < 2:
+                raise InvalidInput("--size: at least 2x2 pixels")
+            require_view(self.size)

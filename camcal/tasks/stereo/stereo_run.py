@@ -77,11 +77,11 @@ def stereo_run(options: RunOptions, progress: Progress = SILENT) -> RunReport:
     rig = read_rig(address, options.cameras, scene.size, progress=SILENT if calibration else progress)
     rectification = rig.rectification(options.view)
     warn_of((each.at(address) for each in rectification.warnings), progress)
-    native.write(rectified, rectified_file(rig, rectification, command_line("stereo run", options)))
     outcomes = list(_outcomes(scene, rig_pair(rig, rectification), rig.path, options, progress))
     done = [outcome.value for outcome in outcomes if outcome.value is not None]
     if not done:
         raise next(outcome.error for outcome in outcomes if outcome.error is not None)
+    native.write(rectified, rectified_file(rig, rectification, command_line("stereo run", options)))
     for pair in done:
         warn_of((warning.at(pair.capture.left) for warning in pair.warnings), progress)
     report = RunReport(rig.path, rectified, rectification, outcomes, calibration, _doubts(rig, calibration))
