@@ -213,8 +213,13 @@ def write_bytes(path: Path, content: bytes) -> None:
 
 
 def write_text(path: Path, content: str) -> None:
-    """Write `content` as UTF-8 with Unix line ends to `path` in one step; see `replacing`."""
-    write_bytes(path, urls.named(content).encode("utf-8"))
+    """Write `content` as UTF-8 with Unix line ends to `path` in one step; see `replacing` and `utf8`."""
+    write_bytes(path, utf8(content))
+
+
+def utf8(text: str) -> bytes:
+    """Return a text as UTF-8: URLs by their own names, escapes in the place of bytes of file names that are none."""
+    return urls.named(text).encode("utf-8", "backslashreplace")
 
 
 def read_text(path: Path, limit: int = 64 << 20) -> str:

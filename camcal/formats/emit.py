@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from camcal import files
 from camcal.errors import InvalidInput
 
 NumberText = Callable[[float], str]
@@ -146,7 +147,7 @@ def _key(key: str) -> str:
 def _text(text: str) -> str:
     if not _PLAIN.match(text) or text.lower() in WORDS:
         text = '"' + "".join(_ESCAPES.get(letter) or _legible(letter) for letter in text) + '"'
-    if len(text.encode()) > MAX_TEXT:
+    if len(files.utf8(text)) > MAX_TEXT:
         raise InvalidInput(f"a text of more than {MAX_TEXT} bytes cannot be written: {text[:40]}…")
     return text
 

@@ -85,7 +85,7 @@ def run_text(run: Mapping[str, Any]) -> str:
 
 def detections_text(found: Detections) -> str:
     """Return the text of the `camcal-detections` element."""
-    return base64.b64encode(zlib.compress(urls.named(detections.csv_text(found)).encode("utf-8"), 9)).decode("ascii")
+    return base64.b64encode(zlib.compress(files.utf8(detections.csv_text(found)), 9)).decode("ascii")
 
 
 def read(path: Path, photo: re.Pattern[str]) -> PageData:

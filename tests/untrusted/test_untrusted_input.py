@@ -1,6 +1,6 @@
 """Damaged files through every reader of every command: a documented exit, lines of our own, little memory, no litter.
 
-`python tests/untrusted/untrusted_run.py --cases 5000` runs more of them; a violation names the seed that repeats it.
+`python benchmarks/fuzz.py` runs more of them; a violation names the seed that repeats it.
 """
 
 import subprocess
@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 from untrusted_readers import READERS
 
-HARNESS = Path(__file__).with_name("untrusted_run.py")
-CASES = 130  # every reader once
+HARNESS = Path(__file__).parents[2] / "benchmarks" / "fuzz.py"
+CASES = 200  # every reader once
 
 
 @pytest.mark.slow

@@ -15,6 +15,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
+from camcal import files
 from camcal.arrays import Array
 from camcal.errors import FileError, InvalidInput
 from camcal.formats.pointclouds.record import MILLIMETRES, PointCloudFile, blocks_of, cloud_of
@@ -91,7 +92,7 @@ def _header_of(laspy: Any, stream: VertexStream, extent: Array) -> Any:
     extra = [name for name in (*NORMAL, SIGMA) if name in (stream.type.names or ())]
     header.add_extra_dims([laspy.ExtraBytesParams(name, np.float32) for name in extra])
     words = {"frame": stream.frame, "notes": stream.notes, "fields": stream.type.names}
-    text = json.dumps(words, ensure_ascii=False).encode()
+    text = files.utf8(json.dumps(words, ensure_ascii=False))
     header.vlrs.append(laspy.VLR(_OWNER, _RECORD, "frame and notes, JSON", text))
     return header
 

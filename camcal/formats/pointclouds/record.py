@@ -10,6 +10,7 @@ from itertools import chain, product
 import numpy as np
 from numpy.typing import NDArray
 
+from camcal import files
 from camcal.arrays import Array
 from camcal.errors import FileError
 from camcal.stereo.points.frames import COLOUR, INTENSITY, METRES, NORMAL, POSITION, SIGMA, VertexStream, vertex_type
@@ -79,7 +80,7 @@ def blocks_of(stream: VertexStream) -> Iterator[Array]:
 def comments_of(stream: VertexStream) -> list[str]:
     """Return what files with room for comments say of a stream, as "key: value" on a line each."""
     said = {"unit": stream.unit, "frame": stream.frame, **stream.notes}
-    return [" ".join(f"{key}: {value}".splitlines()) for key, value in said.items()]
+    return [files.utf8(" ".join(f"{key}: {value}".splitlines())).decode() for key, value in said.items()]
 
 
 def from_comments(columns: Mapping[str, Array] | Array, comments: Sequence[str]) -> PointCloudFile:

@@ -6,6 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import FigureBase
 
+from camcal import files
 from camcal.arrays import Array
 from camcal.calibrate.intrinsics import Calibration
 from camcal.calibrate.jackknife import CandidateModel
@@ -225,7 +226,7 @@ def _rms_of_views(calibration: Calibration) -> list[tuple[str, float, bool]]:
 
 def short_name(name: str) -> str:
     """Return the last part of a path, its middle left out where it is long."""
-    last = name.replace("\\", "/").rsplit("/", 1)[-1]
+    last = files.utf8(name.replace("\\", "/").rsplit("/", 1)[-1]).decode()
     if len(last) <= _NAME:
         return last
     half = (_NAME - 1) // 2

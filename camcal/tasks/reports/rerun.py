@@ -70,7 +70,7 @@ def rerun(options: RerunOptions, progress: Progress = SILENT) -> Rerun:
         before = None if refused else agreement.parsed(data.run["result"], f"{options.file}: result")
         again = _calibrated(data, options.output, progress)
     files.write_text(output, again.page)
-    same = files.read_bytes(options.file) == again.page.encode("utf-8")
+    same = files.read_bytes(options.file) == files.utf8(again.page)
     found = agreement.refusal_difference(data.run.get("refusal", ""), again.refusal)
     if before is not None and again.result:
         found = agreement.differences(before, agreement.parsed(again.result, name))
