@@ -5,24 +5,35 @@ nesting, or damage inside of its checksums and archives. Each goes through the c
 limited in memory and time. Every violation is printed with the seed that repeats it: another exit code than the
 documented ones, a traceback, lines that are not camcal's own, a file left behind, too much memory or time.
 
-    python benchmarks/fuzz.py [--cases 10000] [--seed 1] [--only "stereo cloud"] [--keep FOLDER]
+    python benchmarks/fuzz.py [--cases 10000] [--seed 1] [--only "stereo cloud"] [--keep FOLDER] [--jobs 1]
 """
 
 import argparse
+import multiprocessing
+import os
 import sys
 import tempfile
 import time
 from collections import Counter, defaultdict
 from collections.abc import Iterable
+from functools import partial
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "untrusted"))
 
 import untrusted_run
 from untrusted_readers import Reader
-from untrusted_run import Ended
+from untrusted_run import Case, Ended
 
 EXITS = (0, 2, 3, 4, 5, 6, 7)
+
+
+def outcome(folder: Path, seed: int, only: str, number: int) -> tuple[Case, Ended]:
+    """Return a case by its number and how its command ended."""
+    each = untrusted_run.numbered_case(folder / "good", number, seed, only)
+    room = folder / str(os.getpid()) / "case"
+    room.parent.mkdir(exist_ok=True)
+    return each, untrusted_run.run(each, folder / "good", room)
 
 
 def kind(name: str) -> str:
@@ -66,16 +77,16 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--only", default="", help="readers or command lines that hold this text")
     parser.add_argument("--keep", type=Path, help="folder for the damaged files of violations")
+    parser.add_argument("--jobs", type=int, default=1)
     options = parser.parse_args()
     started = time.monotonic()
     untrusted_run.load_everything()
     runs: list[tuple[Reader, Ended]] = []
     wrong = 0
-    with tempfile.TemporaryDirectory() as folder:
-        good, room = Path(folder) / "good", Path(folder) / "case"
-        untrusted_run.make_good_files(good)
-        for each in untrusted_run.cases(good, options.cases, options.seed, options.only):
-            ended = untrusted_run.run(each, good, room)
+    with tempfile.TemporaryDirectory() as folder, multiprocessing.get_context("fork").Pool(options.jobs) as pool:
+        work = partial(outcome, Path(folder), options.seed, options.only)
+        untrusted_run.make_good_files(Path(folder) / "good")
+        for each, ended in pool.imap(work, range(options.cases)):
             runs.append((each.reader, ended))
             for fault in untrusted_run.violations(ended):
                 wrong += 1

@@ -274,7 +274,8 @@ def opened(path: Path) -> Iterator[BinaryIO]:
                 ledger.reads(path, os.fstat(handle) if content is path else path.stat())
             yield stream
     except FileNotFoundError as error:
-        raise FileError("no such file", where=str(path)) from error
+        missing = f"a broken link to {path.readlink()}" if path.is_symlink() else "no such file"
+        raise FileError(missing, where=str(path)) from error
     except IsADirectoryError as error:
         raise FileError("is a folder, not a file", where=str(path)) from error
     except OSError as error:

@@ -31,7 +31,7 @@ _NARROWEST = 40  # cells: no line is made shorter
 _LONGEST = 4000  # characters of a line on stderr
 _QUOTED = 100  # characters of a quotation that is shortened
 _QUOTATION = re.compile(r"""(['"])((?:(?!\1).){200,})\1""")
-_STEERING = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069]")
+_STEERING = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069\ud800-\udfff]")
 
 
 @dataclass
@@ -170,7 +170,7 @@ def _has_colours() -> bool:
 
 
 def printable(words: str) -> str:
-    """Return words with escapes in the place of control characters, and of those that turn the direction of writing."""
+    """Return words with escapes for control characters, for those that turn the direction of writing, and for no UTF-8."""
     return _STEERING.sub(lambda found: repr(found[0])[1:-1], named(words))
 
 

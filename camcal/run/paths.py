@@ -155,7 +155,9 @@ def _matching(pattern: str, known: AbstractSet[str]) -> list[Path]:
 
 
 def _is_medium(path: Path, known: AbstractSet[str]) -> bool:
-    return path.suffix.lower() in known and path.name[0] != "." and path.is_file()
+    """Return whether a path in a folder stands for an image or a video; reading a broken link says that it is one."""
+    named = path.suffix.lower() in known and path.name[0] != "."
+    return named and (path.is_file() or (path.is_symlink() and not path.exists()))
 
 
 def _without_outputs(paths: list[Path]) -> list[Path]:

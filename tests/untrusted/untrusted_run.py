@@ -14,7 +14,7 @@ import struct
 import sys
 import zipfile
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
@@ -132,12 +132,10 @@ def make_good_files(folder: Path) -> None:
         raise RuntimeError("a good file could not be made")
 
 
-def cases(good: Path, count: int, seed: int, only: str = "") -> Iterator[Case]:
-    """Yield damaged files, every reader in turn."""
+def numbered_case(good: Path, number: int, seed: int, only: str = "") -> Case:
+    """Return one of many damaged files; every reader has its turn."""
     readers = [reader for reader in READERS if only in reader.name or only in reader.command]
-    for number in range(count):
-        reader = readers[number % len(readers)]
-        yield case(good, reader, seed * 1_000_003 + number)
+    return case(good, readers[number % len(readers)], seed * 1_000_003 + number)
 
 
 def case(good: Path, reader: Reader, seed: int) -> Case:
@@ -163,8 +161,8 @@ def case(good: Path, reader: Reader, seed: int) -> Case:
     return Case(reader, "+".join(names), seed, content)
 
 
-def run(case: Case, good: Path, room: Path) -> Ended:
-    """Run a case in an empty folder `room` and return how it ended."""
+def run(case: Case, good: Path, room: Path, largest: int = resource.RLIM_INFINITY) -> Ended:
+    """Run a case in an empty folder `room` and return how it ended; largest: bytes that it may write to a file."""
     shutil.rmtree(room, ignore_errors=True)
     room.mkdir()
     damaged = room / case.reader.file
@@ -177,7 +175,7 @@ def run(case: Case, good: Path, room: Path) -> Ended:
     (room.parent / "out.txt").unlink(missing_ok=True)
     child = os.fork()
     if child == 0:
-        _serve(arguments, room)
+        _serve(arguments, room, largest)
     _, status, usage = os.wait4(child, 0)
     out, err = ((room.parent / name).read_text(errors="replace") for name in ("out.txt", "err.txt"))
     left = tuple(str(path.relative_to(room)) for path in room.rglob("*") if path.is_file() and path.name not in before)
@@ -185,7 +183,7 @@ def run(case: Case, good: Path, room: Path) -> Ended:
     return Ended(code, out, err, left, usage.ru_maxrss << 10, usage.ru_utime + usage.ru_stime, "out of memory" in err)
 
 
-def _serve(arguments: list[str], room: Path) -> None:
+def _serve(arguments: list[str], room: Path, largest: int) -> None:
     """Run a command in this forked process and end it."""
     code = 1
     try:
@@ -193,6 +191,7 @@ def _serve(arguments: list[str], room: Path) -> None:
         resource.setrlimit(resource.RLIMIT_AS, (size + MEMORY, size + MEMORY))
         resource.setrlimit(resource.RLIMIT_CPU, (int(TIME_S), int(TIME_S) + 5))
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+        resource.setrlimit(resource.RLIMIT_FSIZE, (largest, largest))
         signal.alarm(int(3 * TIME_S))
         os.chdir(room)
         for number, name in ((1, "out.txt"), (2, "err.txt")):

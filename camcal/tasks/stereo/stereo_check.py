@@ -180,7 +180,12 @@ def check_images(images: PairImages) -> PairCheck:
 
 
 def _gray_pair(left: Array, right: Array) -> tuple[Array, Array]:
-    """Return two images (H, W) uint8; those of more than 8 bits by one scale, so that their light can be compared."""
+    """Return two images (H, W) uint8; those of more than 8 bits by one scale, so that their light can be compared.
+
+    Of 8 and 16 bits both are taken for the whole range of their type.
+    """
+    if {left.dtype, right.dtype} == {np.dtype(np.uint8), np.dtype(np.uint16)}:
+        left, right = (image * np.uint16(257) if image.dtype == np.uint8 else image for image in (left, right))
     if left.dtype == right.dtype == np.uint8 or left.shape != right.shape:
         return gray_8bit(left), gray_8bit(right)
     both = gray_8bit(np.concatenate([left, right]))
