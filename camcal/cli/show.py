@@ -170,7 +170,7 @@ def _has_colours() -> bool:
 
 
 def printable(words: str) -> str:
-    """Return words with escapes for control characters, for those that turn the direction of writing, and for no UTF-8."""
+    """Return words with escapes for control characters, for what turns the direction of writing, and for no UTF-8."""
     return _STEERING.sub(lambda found: repr(found[0])[1:-1], named(words))
 
 

@@ -15,7 +15,7 @@ from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
-from camcal import files, urls
+from camcal import files
 from camcal.errors import FileError, InvalidInput, Located
 from camcal.formats import boards, detections, documents
 from camcal.formats.schema import integer, items, mapping, number, one_of, plain, text

@@ -11,7 +11,7 @@ import pytest
 from untrusted_readers import READERS
 
 HARNESS = Path(__file__).parents[2] / "benchmarks" / "fuzz.py"
-CASES = 200  # every reader once
+CASES = 205  # every reader once
 
 
 @pytest.mark.slow

@@ -16,11 +16,15 @@ _NUMBERS = "--fx 100 --cx 47 --cy 35 --baseline 0.1 --outliers none"
 
 @dataclass(frozen=True)
 class Reader:
-    """A file by its name among the good ones, the command line that reads it, and files it needs beside it."""
+    """A file by its name among the good ones, the command line that reads it, and files it needs beside it.
+
+    keeps: what was done before something failed stays, as of the steps of a pipeline.
+    """
 
     file: str
     command: str
     beside: tuple[str, ...] = ()
+    keeps: bool = False
 
     @property
     def verb(self) -> str:
@@ -154,5 +158,10 @@ READERS: Sequence[Reader] = (
     Reader("calibrate.yaml", "calibrate GOOD/detections.csv -o OUT/c.yaml --config FILE"),
     Reader("disparity.yaml", "stereo disparity GOOD/gray.png GOOD/right.png -o OUT/d.pfm --config FILE"),
     Reader("undistort.yaml", "undistort GOOD/small.yaml GOOD/gray.png -o OUT --config FILE"),
-    Reader(".camcal-output", "undistort GOOD/small.yaml GOOD/gray.png GOOD/colour.png -o HERE --jobs 1"),
+    Reader(".camcal-output", "undistort GOOD/small.yaml GOOD/gray.png -o HERE --jobs 1"),
+    Reader(".camcal-output", "undistort GOOD/small.yaml GOOD/gray.png -o HERE --jobs 1 --resume"),
+    *[Reader("pipeline.yaml", "run FILE --jobs 1", ("small.yaml", "gray.png"), keeps=True)] * 2,
+    Reader(
+        ".pipeline.state.json", "run pipeline.yaml --jobs 1", ("pipeline.yaml", "small.yaml", "gray.png"), keeps=True
+    ),
 )

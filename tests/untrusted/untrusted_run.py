@@ -178,7 +178,8 @@ def run(case: Case, good: Path, room: Path, largest: int = resource.RLIM_INFINIT
         _serve(arguments, room, largest)
     _, status, usage = os.wait4(child, 0)
     out, err = ((room.parent / name).read_text(errors="replace") for name in ("out.txt", "err.txt"))
-    left = tuple(str(path.relative_to(room)) for path in room.rglob("*") if path.is_file() and path.name not in before)
+    after = () if case.reader.keeps else room.rglob("*")
+    left = tuple(str(path.relative_to(room)) for path in after if path.is_file() and path.name not in before)
     code = os.waitstatus_to_exitcode(status)
     return Ended(code, out, err, left, usage.ru_maxrss << 10, usage.ru_utime + usage.ru_stime, "out of memory" in err)
 

@@ -137,7 +137,9 @@ def _make_texts(folder: Path) -> None:
         "fit.csv": "x,y\n" + "".join(f"{k},{2 * k + k % 3}\n" for k in range(20)),
         "line.txt": "0.1 0.2 0.3 0 0 0 1\n",
         "times.csv": "image,t\n" + "".join(f"view{k:04d}.png,{k * 0.1:.1f}\n" for k in range(8)),
-        ".camcal-output": "colour.png\ngray.png\nold.png\n",
+        "pipeline.yaml": "variables: {camera: small.yaml}\nsteps:\n  opencv:\n    command: convert\n"
+        "    arguments: [$(camera), out/small.xml]\n  undistort:\n    command: undistort\n"
+        "    arguments: [$(camera), gray.png]\n    alpha: 1\n    output: out/straight\n",
         "pair.yaml": _PAIR,
         "calibrate.yaml": "model: opencv5\nfree-corners: false\nflat-board: true\n",
         "settings.yaml": "%YAML 1.1\n---\nrecursive: false\nquiet: true\n",
@@ -210,3 +212,6 @@ def _make_with_commands(folder: Path, run: Callable[[list[str]], None]) -> None:
     run(["convert", f"{folder}/pair.yaml", f"{folder}/camchain.yaml", "--to", "kalibr"])
     run(["report", f"{folder}/detections.csv", "-o", f"{folder}/report.html", "--model", "opencv5"])
     run(["fit", f"{folder}/fit.csv", "--model", "poly:1", "-o", f"{folder}/fit.json"])
+    run(["run", f"{folder}/pipeline.yaml"])
+    run(["undistort", f"{folder}/small.yaml", f"{folder}/gray.png", "-o", f"{folder}/listed"])
+    (folder / "listed/.camcal-output").replace(folder / ".camcal-output")
