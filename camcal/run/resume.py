@@ -277,8 +277,11 @@ class _Listed(Generic[Item, Value]):
         folders: dict[Path, dict[str, Entry | None]] = {}
         for path in (path for item in left for path in self.items.outputs(item)):
             was_known = self.run.intact.pop(path.absolute(), None) is not None
-            if was_known or ((self.run.resume or not claimed) and not path.exists()):
+            missing = (self.run.resume or not claimed) and not path.exists()
+            if was_known or missing:
                 folders.setdefault(path.parent, {})[path.name] = None
+            if missing:  # what does not come to be is taken off the list when the run ends
+                self.run.planned.setdefault(path.absolute(), None)
         for folder, names in folders.items():
             manifest.append(folder, names)
 
