@@ -25,15 +25,21 @@ import untrusted_run
 from untrusted_readers import Reader
 from untrusted_run import Case, Ended
 
+FULL = 600  # bytes
 EXITS = (0, 2, 3, 4, 5, 6, 7)
 
 
-def outcome(folder: Path, seed: int, only: str, number: int) -> tuple[Case, Ended]:
-    """Return a case by its number and how its command ended."""
-    each = untrusted_run.numbered_case(folder / "good", number, seed, only)
-    room = folder / str(os.getpid()) / "case"
+def outcome(folder: Path, seed: int | None, only: str, number: int) -> tuple[Case, Ended]:
+    """Return a case by its number and how its command ended; without a seed, of a good file on a full disk."""
+    good, room = folder / "good", folder / str(os.getpid()) / "case"
     room.parent.mkdir(exist_ok=True)
-    return each, untrusted_run.run(each, folder / "good", room)
+    readers = untrusted_run.readers_of(only)
+    reader = readers[number % len(readers)]
+    if seed is None:
+        each = Case(reader, "full disk", number, (good / reader.file).read_bytes())
+        return each, untrusted_run.run(each, good, room, FULL)
+    each = untrusted_run.case(good, reader, seed * 1_000_003 + number)
+    return each, untrusted_run.run(each, good, room)
 
 
 def kind(name: str) -> str:
@@ -77,6 +83,9 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--only", default="", help="readers or command lines that hold this text")
     parser.add_argument("--keep", type=Path, help="folder for the damaged files of violations")
+    parser.add_argument(
+        "--full-disk", action="store_true", help="good files, each once, and no file grows beyond 600 B"
+    )
     parser.add_argument("--jobs", type=int, default=1)
     options = parser.parse_args()
     started = time.monotonic()
@@ -84,11 +93,13 @@ def main() -> int:
     runs: list[tuple[Reader, Ended]] = []
     wrong = 0
     with tempfile.TemporaryDirectory() as folder, multiprocessing.get_context("fork").Pool(options.jobs) as pool:
-        work = partial(outcome, Path(folder), options.seed, options.only)
+        work = partial(outcome, Path(folder), None if options.full_disk else options.seed, options.only)
+        count = len(untrusted_run.readers_of(options.only)) if options.full_disk else options.cases
+        faults = untrusted_run.violations_of_full_disk if options.full_disk else untrusted_run.violations
         untrusted_run.make_good_files(Path(folder) / "good")
-        for each, ended in pool.imap(work, range(options.cases)):
+        for each, ended in pool.imap(work, range(count)):
             runs.append((each.reader, ended))
-            for fault in untrusted_run.violations(ended):
+            for fault in faults(ended):
                 wrong += 1
                 print(f"{each.reader.name} | {each.mutation} | seed {each.seed}: {fault}", file=sys.stderr, flush=True)
                 if options.keep:

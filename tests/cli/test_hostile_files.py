@@ -147,4 +147,4 @@ def test_a_folder_that_may_not_be_read_is_told(run, monkeypatch):
             Path("photos").chmod(0o755)
         monkeypatch.undo()
     assert code == 3
-    assert err == "camcal: error: photos: cannot be read or written: Permission denied\n"
+    assert err == "camcal: error: photos: cannot be read: Permission denied\n"

@@ -132,10 +132,9 @@ def make_good_files(folder: Path) -> None:
         raise RuntimeError("a good file could not be made")
 
 
-def numbered_case(good: Path, number: int, seed: int, only: str = "") -> Case:
-    """Return one of many damaged files; every reader has its turn."""
-    readers = [reader for reader in READERS if only in reader.name or only in reader.command]
-    return case(good, readers[number % len(readers)], seed * 1_000_003 + number)
+def readers_of(only: str) -> list[Reader]:
+    """Return the readers whose names or command lines hold a text."""
+    return [reader for reader in READERS if only in reader.name or only in reader.command]
 
 
 def case(good: Path, reader: Reader, seed: int) -> Case:
@@ -213,6 +212,18 @@ def _serve(arguments: list[str], room: Path, largest: int) -> None:
             with suppress(OSError, ValueError):
                 stream.flush()
         os._exit(code)
+
+
+def violations_of_full_disk(ended: Ended) -> list[str]:
+    """Return what a command did wrong whose files could not grow; whole files that were written before may stay."""
+    found = [fault for fault in violations(ended) if not fault.startswith(("left ", "litter"))]
+    if any(".camcal.part-" in name for name in ended.left):
+        found.append("a half-written file")
+    if ended.code not in {0, *WITHOUT_OUTPUT}:
+        found.append(f"exit {ended.code}")
+    if ended.code == 3 and "cannot be written: File too large" not in ended.err:
+        found.append(f"said {ended.err.strip()[-160:]!r}")
+    return found
 
 
 def violations(ended: Ended) -> list[str]:

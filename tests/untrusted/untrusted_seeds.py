@@ -54,9 +54,7 @@ def make(folder: Path, run: Callable[[list[str]], None]) -> None:
     _make_images(folder, rng)
     _make_raw(folder, rng)
     _make_maps_and_clouds(folder, rng)
-    _make_texts(folder)
-    for name, sample in _SAMPLE_FILES.items():
-        (folder / name).write_bytes((_SAMPLES / sample).read_bytes())
+    make_texts(folder)
     _make_detections(folder, rng)
     _make_with_commands(folder, run)
 
@@ -116,7 +114,10 @@ def _make_maps_and_clouds(folder: Path, rng: np.random.Generator) -> None:
         pointclouds.write(folder / name, stream, ascii_text=name.startswith("text"))
 
 
-def _make_texts(folder: Path) -> None:
+def make_texts(folder: Path) -> None:
+    """Write the good files that nothing has to be computed for."""
+    for name, sample in _SAMPLE_FILES.items():
+        (folder / name).write_bytes((_SAMPLES / sample).read_bytes())
     texts = {
         "calib.txt": "cam0=[100 0 47; 0 100 35; 0 0 1]\ncam1=[100 0 47; 0 100 35; 0 0 1]\ndoffs=0\nbaseline=100\n"
         "width=96\nheight=72\nndisp=32\n",
