@@ -92,7 +92,10 @@ def main() -> int:
     untrusted_run.load_everything()
     runs: list[tuple[Reader, Ended]] = []
     wrong = 0
-    with tempfile.TemporaryDirectory() as folder, multiprocessing.get_context("fork").Pool(options.jobs) as pool:
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        multiprocessing.get_context("fork").Pool(options.jobs, os.setsid) as pool,
+    ):
         work = partial(outcome, Path(folder), None if options.full_disk else options.seed, options.only)
         count = len(untrusted_run.readers_of(options.only)) if options.full_disk else options.cases
         faults = untrusted_run.violations_of_full_disk if options.full_disk else untrusted_run.violations

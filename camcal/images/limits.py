@@ -33,7 +33,8 @@ def require_view(size: tuple[int, int]) -> None:
         raise InvalidInput(f"{width}x{height} has a side of more than {LONGEST_SIDE} pixels, which is the limit")
     if width * height > max_pixels():
         megapixels, allowed = width * height / 1e6, max_pixels() / 1e6
-        raise InvalidInput(f"a view of {width}x{height} has {megapixels:.0f} million pixels, --max-pixels {allowed:g}")
+        message = f"a view of {width}x{height} has {megapixels:.0f} million pixels, more than --max-pixels {allowed:g}"
+        raise InvalidInput(f"{message}; increase it if that is wanted")
 
 
 def require_pixels(size: tuple[int, int], path: Path) -> None:

@@ -22,7 +22,7 @@ MANIFEST = ".camcal-output"
 
 _CHUNK = 1 << 20
 _MANY = 8  # files that are better read by several threads
-_LINE = re.compile(r"([0-9a-f]{64})\t(\d+)\t([0-9a-f]{64}|)\t([^\t]*)\t(.+)", re.DOTALL)
+_LINE = re.compile(r"([0-9a-f]{64})\t([0-9]{1,18})\t([0-9a-f]{64}|)\t([^\t]*)\t(.+)", re.DOTALL)
 
 
 class Entry(NamedTuple):

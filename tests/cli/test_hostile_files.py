@@ -128,6 +128,13 @@ def test_a_pair_of_different_bit_depths_is_compared(run, photos):
     assert "exposures agree" in out
 
 
+def test_a_video_that_cannot_be_read_leaves_nothing_behind(run, photos):
+    Path("clip.avi").write_bytes(b"RIFF\0\0\0\0AVI LIST")
+    code, _, err = run("undistort", *LENS, "--size", "200x160", "clip.avi", "-o", "out")
+    assert code in {2, 3}, err
+    assert not Path("out").exists()
+
+
 @pytest.mark.skipif(not hasattr(os, "geteuid"), reason="users of POSIX systems")
 def test_a_folder_that_may_not_be_read_is_told(run, monkeypatch):
     superuser = os.geteuid() == 0

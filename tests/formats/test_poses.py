@@ -239,3 +239,15 @@ def test_a_translation_beyond_all_measure_is_refused(tmp_path):
     )
     with pytest.raises(InvalidInput, match=r"translation\[0\]: 1e\+300 is outside"):
         poses.read(path)
+
+
+def test_a_translation_of_a_table_beyond_all_measure_is_refused(found, tmp_path):
+    path = tmp_path / "far.csv"
+    poses.write(path, found)
+    lines = path.read_text("utf-8").splitlines()
+    column = lines[1].split(",").index("ty")
+    *before, last = next(csv.reader([lines[2]]))[: column + 1]
+    lines[2] = lines[2].replace(f"{before[-1]},{last},", f"{before[-1]},3.4e38,", 1)
+    path.write_text("\n".join(lines) + "\n", "utf-8")
+    with pytest.raises(InvalidInput, match=r"far\.csv:3: a translation of 3\.4e\+38 is implausible"):
+        poses.read(path)

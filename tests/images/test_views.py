@@ -157,7 +157,7 @@ def test_a_pinhole_that_is_to_hold_half_the_world_is_refused_with_what_can(optio
         ({"projection": "mercator"}, "use one of pinhole, cylinder"),
         ({"size": (1, 100)}, "at least 2 pixels a side"),
         ({"size": (1_048_577, 100)}, "1048577x100 has a side of more than 1048576 pixels"),
-        ({"size": (40_000, 10_000)}, "40000x10000 has 400 million pixels, --max-pixels 300"),
+        ({"size": (40_000, 10_000)}, "40000x10000 has 400 million pixels, more than --max-pixels 300"),
     ],
 )
 def test_views_that_make_no_sense_are_refused(arguments, words):

@@ -171,3 +171,11 @@ def test_a_folder_that_cannot_be_written_is_enough_where_nothing_is_left_to_do(f
         assert redone(run()) == []
     finally:
         Path("out").chmod(0o700)
+
+
+def test_a_size_in_the_list_that_is_no_size_is_ignored(folder):
+    run()
+    text = Path("out", MANIFEST).read_text()
+    size = str(manifest.entries(Path("out"))["1.png"].size)
+    Path("out", MANIFEST).write_text(text.replace(f"\t{size}\t", f"\t{'9' * 5000}\t", 1))
+    assert "1.png" not in manifest.entries(Path("out"))
