@@ -105,13 +105,14 @@ def test_runs_into_one_folder_keep_all_of_their_outputs_listed(start_python, tmp
     program = """
 import sys
 from pathlib import Path
-from camcal.run.manifest import change
+from camcal.run.manifest import append, change
 for number in range(40):
     change(Path(sys.argv[1]), {f"{sys.argv[2]}{number}.png": None})
+    append(Path(sys.argv[1]), {f"{sys.argv[2]}{number}.jpg": None})
 """
     runs = [start_python("-c", program, tmp_path, name) for name in "abc"]
     assert [run.communicate(timeout=60)[1] for run in runs] == ["", "", ""]
-    assert len((tmp_path / ".camcal-output").read_text().splitlines()) == 120
+    assert len((tmp_path / ".camcal-output").read_text().splitlines()) == 240
 
 
 def gone(pid):
