@@ -14,7 +14,7 @@ user did not choose.
 import os
 import re
 import stat
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from contextlib import contextmanager, suppress
 from functools import wraps
@@ -175,7 +175,7 @@ class Run:
         self._examine(paths)
         for path in paths:
             self.plan(path)
-        self._list(path for path in paths if path.absolute() not in self.unlisted)
+        self._list([path for path in paths if path.absolute() not in self.unlisted])
 
     def plan(self, path: Path) -> None:
         """Check an output; raises InvalidInput or FileError if it must not or cannot be written."""
@@ -266,7 +266,7 @@ class Run:
         """Note a file that was written."""
         self.written.add(_id(file))
 
-    def _list(self, paths: Iterable[Path]) -> None:
+    def _list(self, paths: Sequence[Path]) -> None:
         """List outputs in their folders before they are written, so that a killed run leaves none unlisted.
 
         What is known of their contents is left out until they are written, or kept if they may stay as they are. A
@@ -280,8 +280,9 @@ class Run:
             elif self.planned[place] is None or self._is_listed(path):  # others' files are not before they are replaced
                 stays = place in self.shortened or (self.resume and place in self.intact)
                 folders.setdefault(path.parent, {})[path.name] = self._entry(path) if stays else None
-        for folder, names in folders.items():
+        for folder in {path.parent for path in paths}:
             self.new_folders += [each for each in (folder, *folder.parents) if not each.exists()]
+        for folder, names in folders.items():
             manifest.change(folder, names)
             self._lists.pop(folder.absolute(), None)
 
