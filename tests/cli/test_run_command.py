@@ -247,6 +247,8 @@ steps:
   seven:
     command: undistort
     arguments: [camera.yaml, $(camera)]
+  eight:
+    command: [undistort]
 """
     assert refused(run, folder, text) == [
         "1: variabels: unknown key. Did you mean 'variables'?",
@@ -262,6 +264,7 @@ steps:
         "29: steps.six.foreach: no list 'cameras' under 'lists'. Did you mean 'camera'?",
         "30: steps.seven: output is missing",
         "32: steps.seven.arguments: $(camera) is a list: add 'foreach: camera' to the step",
+        "34: steps.eight.command: no command \"['undistort']\" for a step; 'camcal --help' lists all",
     ]
 
 

@@ -133,6 +133,11 @@ def test_a_trajectory_with_other_numbers_is_refused_with_its_line(tmp_path, text
         read_lines(path)
 
 
+def test_numbers_in_names_may_be_of_any_length():
+    names = ["a1", "a02", "a3b", "a10", "a" + "9" * 5000, "a1" + "0" * 5000]
+    assert sorted(reversed(names), key=files.natural_key) == names
+
+
 @pytest.mark.parametrize("text", ['{"a": ' + "9" * 5000 + "}", '{"a":' * 100_000, "[" * 100_000])
 def test_json_of_many_digits_or_levels_is_refused(text):
     with pytest.raises((FileError, InvalidInput)):

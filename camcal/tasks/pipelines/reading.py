@@ -186,7 +186,7 @@ class _Reader:
         command = data.get("command")
         if command is None:
             self.note(path, "has no command")
-        elif command not in self.commands:
+        elif not isinstance(command, str) or command not in self.commands:
             said = did_you_mean(str(command), self.commands, otherwise="; 'camcal --help' lists all")
             self.note(child(path, "command"), f"no command {str(command)!r} for a step{said}")
         else:
