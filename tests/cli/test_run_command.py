@@ -264,7 +264,7 @@ steps:
         "29: steps.six.foreach: no list 'cameras' under 'lists'. Did you mean 'camera'?",
         "30: steps.seven: output is missing",
         "32: steps.seven.arguments: $(camera) is a list: add 'foreach: camera' to the step",
-        "34: steps.eight.command: no command \"['undistort']\" for a step; 'camcal --help' lists all",
+        "34: steps.eight.command: no command \"['undistort']\" for a step. Did you mean 'undistort'?",
     ]
 
 
