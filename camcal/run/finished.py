@@ -26,17 +26,19 @@ from camcal.run.outputs import Run, listed
 class Finished:
     """A run of a command with these options, whose result goes to `output`; inputs are read when this is made.
 
-    inputs: how many files that is. Raises FileError if one of them cannot be read.
+    inputs: how many files that is. made_from: the fingerprint of the run, None if one of them cannot be read: the run
+    then says so itself.
     """
 
     def __init__(self, command: str, options: Any, output: Path) -> None:
         self.output = output
         paths = sorted(set(_inputs(options)))
-        with files.unwatched():
-            hashes = values_of(fan_out(fingerprint.of_file, paths))
-        named = [[path.as_posix(), each] for path, each in zip(paths, hashes, strict=True)]
         self.inputs = len(paths)
-        self.made_from = fingerprint.of_data([command, fingerprint.of_settings(options), named])
+        self.made_from: str | None = None
+        with files.unwatched(), suppress(FileError):
+            hashes = values_of(fan_out(fingerprint.of_file, paths))
+            named = [[path.as_posix(), each] for path, each in zip(paths, hashes, strict=True)]
+            self.made_from = fingerprint.of_data([command, fingerprint.of_settings(options), named])
 
     def document(self) -> dict[str, Any] | None:
         """Return what the run printed as JSON, None if it has to be done."""
@@ -53,7 +55,7 @@ class Finished:
     def keep(self, document: Mapping[str, Any]) -> None:
         """Keep what the run has printed, and its files."""
         run = files.LEDGER.get()
-        if not isinstance(run, Run) or not self.output.is_file():
+        if not isinstance(run, Run) or not self.output.is_file() or self.made_from is None:
             return
         folder = self.output.absolute().parent
         made = {path: Entry.of(path) for path in sorted(run.planned) if path.is_file()}

@@ -48,6 +48,14 @@ def test_the_document_of_a_finished_run_is_repeated(run, photographs):
     assert {**first, "warnings": []} == {**again, "warnings": []}
 
 
+def test_an_input_that_cannot_be_read_fails_alone_with_resume_too(run, photographs):
+    Path("photos/3.png").write_bytes(b"")
+    command = ("detect", "photos", "--board", "chessboard:5x4", "-o", "corners.csv", "--resume", "--jobs", 1)
+    results = [run(*command) for _ in range(2)]
+    assert [code for code, _, _ in results] == [6, 6]
+    assert "photos/3.png" in results[1][2]
+
+
 def test_without_resume_no_list_is_left_beside_a_result_that_says_camcal(run, photographs):
     command = ("detect", "photos", "--board", "chessboard:5x4", "-o", "corners.csv", "--jobs", 1)
     assert run(*command)[0] == 0
