@@ -39,8 +39,10 @@ PROJECT = Path(__file__).parents[1]
 README = PROJECT / "README.md"
 PAGES = [README, PROJECT / "CHANGELOG.md", *sorted((PROJECT / "docs").rglob("*.md"))]
 
-OTHER_TOOLS = {  # of mrcal, pip, mkdocs
-    *("--object-width-n", "--wheel-dir", "--no-index", "--find-links", "--yes", "--strict"),
+OTHER_TOOLS = {  # of mrcal, pip, mkdocs; of Dask; of helm and kubectl
+    *("--object-width-n", "--wheel-dir", "--no-index", "--find-links", "--yes", "--strict", "--no-cache-dir"),
+    *("--nthreads", "--nworkers", "--port", "--lifetime", "--lifetime-stagger"),
+    *("--repo", "--create-namespace", "--generate-name", "--rm", "--restart", "--env", "--command", "--replicas"),
 }
 
 _FENCE = re.compile(r"^```(\w*)[^\n]*\n(.*?)^```$", flags=re.MULTILINE | re.DOTALL)

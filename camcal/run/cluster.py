@@ -25,14 +25,22 @@ from camcal.images import limits
 from camcal.messages import Message
 from camcal.progress import Item, Outcome, Progress, Value
 from camcal.run import fingerprint
-from camcal.run.cluster_worker import RunTerms, answer
+from camcal.run.cluster_worker import RunTerms, answers
 from camcal.run.options import LOCAL, BatchOptions
 from camcal.run.outputs import Run
-from camcal.run.process import available_cores, worker_environment
+from camcal.run.process import BLAS_THREADS, available_cores, worker_environment
 from camcal.run.workers import item_name
 
-_AHEAD = 16  # items that are sent, per worker: some wait at the worker, so that it is never idle
-_FEWEST_AHEAD = 32  # a cluster that starts workers on demand sees by them that there is work
+_AHEAD = 32  # items that are sent, per worker: some wait at the worker, so that it is never idle
+_MOST_TOGETHER = 16  # items in one task of Dask, each of which costs some milliseconds
+_TOGETHER_S = 0.5
+_SHORTEST_S = 1e-4
+_FEWEST_AHEAD = 64  # a cluster that starts workers on demand sees by them that there is work
+_LOCAL_SETTINGS = {  # without Dask's limit of malloc, which maps the memory of every image anew, and its measurements
+    "distributed.nanny.pre-spawn-environ": dict.fromkeys(BLAS_THREADS, 1),
+    "distributed.worker.profile.enabled": False,
+    "distributed.admin.tick.interval": "1s",
+}
 _CONNECT_S = 20.0
 _PATIENCE_S = 60.0  # for a scheduler that was there and does not answer any more
 _CLOSE_S = 2.0
@@ -78,9 +86,10 @@ def _dask_address(scheduler: str, jobs: int | None) -> str:
 @cache
 def _local_cluster(workers: int) -> Any:
     """Return a cluster of processes on this machine; Dask ends them with this process."""
+    import dask
     from distributed import LocalCluster
 
-    with worker_environment(needs_main=False):
+    with dask.config.set(_LOCAL_SETTINGS), worker_environment(needs_main=False):
         return LocalCluster(  # type: ignore[no-untyped-call]
             n_workers=workers,
             threads_per_worker=1,
@@ -146,7 +155,8 @@ class _Submission(Generic[Item, Value]):
         self.terms = terms
         self.progress = progress
         self.waiting: deque[tuple[int, Item]] = deque()
-        self.at_work: dict[Any, tuple[int, Item]] = {}
+        self.at_work: dict[Any, list[tuple[int, Item]]] = {}
+        self.together = 1
         self.done: queue.SimpleQueue[Any] = queue.SimpleQueue()
         self.finished: dict[int, Outcome[Item, Value] | None] = {}
         self.most_ahead = _FEWEST_AHEAD
@@ -194,19 +204,22 @@ class _Submission(Generic[Item, Value]):
     def send(self, position: int) -> None:
         """Send items, up to so many ahead of the one that is waited for that all workers are busy."""
         self.count_workers()
-        while task := self.next_task(position + self.most_ahead):
-            future = self.client.submit(answer, self.sent_function, task[1], self.terms, pure=False)
-            self.at_work[future] = task
+        while tasks := self.next_tasks(position + self.most_ahead):
+            future = self.client.submit(
+                answers, self.sent_function, [item for _, item in tasks], self.terms, pure=False
+            )
+            self.at_work[future] = tasks
             future.add_done_callback(self.done.put)
 
-    def next_task(self, limit: int) -> tuple[int, Item] | None:
-        """Return the index of the next item to send, and the item; None if there is none before the index `limit`."""
+    def next_tasks(self, limit: int) -> list[tuple[int, Item]]:
+        """Return the next items to send together, with their indices, as far as they are before the index `limit`."""
         if self.waiting:
-            return self.waiting.popleft()
-        if self.upcoming is None or self.upcoming[0] >= limit or self.has_failed:
-            return None
-        task, self.upcoming = self.upcoming, next(self.tasks, None)
-        return task
+            return [self.waiting.popleft()]
+        tasks: list[tuple[int, Item]] = []
+        while self.upcoming is not None and self.upcoming[0] < limit and len(tasks) < self.together:
+            tasks.append(self.upcoming)
+            self.upcoming = next(self.tasks, None)
+        return [] if self.has_failed else tasks
 
     def count_workers(self) -> None:
         """See from time to time how many workers there are, and warn once if there is none."""
@@ -237,15 +250,16 @@ class _Submission(Generic[Item, Value]):
     def note(self, done: list[Any]) -> None:
         """Keep the outcomes of items that are done; raises what is no outcome."""
         good = [future for future in done if future.status == "finished"]
-        for future, reply in zip(good, self.client.gather(good), strict=True):
-            index, item = self.at_work.pop(future)
-            self.finished[index] = None if reply is None else Outcome(item, *reply)
-            self.has_failed |= self.terms.failure is not None and (reply is None or reply[1] is not None)
+        for future, (found, seconds) in zip(good, self.client.gather(good), strict=True):
+            self.together = max(1, min(_MOST_TOGETHER, int(_TOGETHER_S / max(seconds, _SHORTEST_S))))
+            for (index, item), reply in zip(self.at_work.pop(future), found, strict=True):
+                self.finished[index] = None if reply is None else Outcome(item, *reply)
+                self.has_failed |= self.terms.failure is not None and (reply is None or reply[1] is not None)
         for future in (future for future in done if future.status == "error"):
             self.fail(future)
 
     def fail(self, future: Any) -> None:
-        """Note an item that no worker survived; raises any other exception, or why it came."""
+        """Note an item that no worker survived, or send several again one by one; raises any other exception."""
         from distributed import KilledWorker
 
         error = future.exception()
@@ -253,13 +267,17 @@ class _Submission(Generic[Item, Value]):
             if not isinstance(error, CamcalError):
                 self.require_camcal()
             raise error
-        index, item = self.at_work.pop(future)
+        tasks = self.at_work.pop(future)
+        if len(tasks) > 1:
+            self.waiting.extend(tasks)
+            return
+        ((index, item),) = tasks
         text = f"{error.allowed_failures + 1} workers died with it; the input may be damaged, or memory short"
         self.finished[index] = Outcome(item, error=ItemsFailed(text, where=item_name(item) or f"item {index + 1}"))
 
     def connect_again(self) -> None:
         """Wait for a scheduler that was lost, and let all items that were with it be sent again."""
-        self.waiting.extend(sorted(self.at_work.values(), key=lambda task: task[0]))
+        self.waiting.extend(sorted(itertools.chain(*self.at_work.values()), key=lambda task: task[0]))
         self.at_work.clear()
         self.close()
         self.connect(_PATIENCE_S, f"was lost and did not come back in {_PATIENCE_S:g} s; what is done is kept")

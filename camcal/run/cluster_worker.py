@@ -1,4 +1,4 @@
-"""What a worker of a Dask cluster does with one item, as the processes of this machine would.
+"""What a worker of a Dask cluster does with items, as the processes of this machine would.
 
 It works in the folder in which the command was called, on one item at a time, and with the versions, limits and URLs of
 the process that sent the item. A file goes into no folder that both do not share: nobody would find it.
@@ -8,7 +8,8 @@ import os
 import platform
 import tempfile
 import threading
-from collections.abc import Callable, Iterator, Mapping
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future
 from concurrent.futures import TimeoutError as OutOfTime
 from contextlib import ExitStack, chdir, contextmanager
@@ -26,10 +27,11 @@ from camcal.run import fingerprint
 from camcal.run.fanout import one_opencv_thread
 from camcal.run.workers import attempt, item_name
 
-Answer = tuple[Value | None, CamcalError | None]
+Answer = tuple[Value | None, CamcalError | None] | None
+Answers = tuple[list[Answer[Value]], float]
 
 _LEFT_S = 2.0  # for the answer to be fetched, before a worker whose item hangs is replaced
-_ONE_ITEM = threading.Lock()  # of a process: the working folder and OpenCV's threads are those of the whole process
+_ONE_TASK = threading.Lock()  # of a process: the working folder and OpenCV's threads are those of the whole process
 
 
 @dataclass(frozen=True)
@@ -51,17 +53,23 @@ class RunTerms:
     failure: str | None = None
 
 
-def answer(function: Callable[[Item], Value], item: Item, terms: RunTerms) -> Answer[Value] | None:
-    """Return the value of an item, or its error; None if it is not begun because another one has failed.
+def answers(function: Callable[[Item], Value], items: Sequence[Item], terms: RunTerms) -> Answers[Value]:
+    """Return the values of items or their errors, None of those not begun after a failure, and the seconds of one.
 
-    Raises InvalidInput if this worker has other versions than the process that sent the item.
+    Raises InvalidInput if this worker has other versions than the process that sent the items.
     """
     _require_versions(tuple(sorted(terms.versions.items())))
     failure = _event(terms.failure)
-    with _ONE_ITEM, _terms_kept(terms):
-        if failure is not None and failure.is_set():
-            return None
-        outcome = attempt(function, item) if terms.timeout is None else _within(terms.timeout, function, item)
+    with _ONE_TASK, _terms_kept(terms):
+        began = time.monotonic()
+        found = [_answer(function, item, terms, failure) for item in items]
+        return found, (time.monotonic() - began) / len(items)
+
+
+def _answer(function: Callable[[Item], Value], item: Item, terms: RunTerms, failure: Any) -> Answer[Value]:
+    if failure is not None and failure.is_set():
+        return None
+    outcome = attempt(function, item) if terms.timeout is None else _within(terms.timeout, function, item)
     if failure is not None and outcome.error is not None:
         failure.set()
     return outcome.value, outcome.error

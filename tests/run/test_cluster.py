@@ -16,7 +16,7 @@ from camcal import files, urls
 from camcal.errors import FileError, InvalidInput, ItemsFailed
 from camcal.progress import Silent
 from camcal.run import cluster
-from camcal.run.cluster_worker import RunTerms, SharedFolders, answer
+from camcal.run.cluster_worker import RunTerms, SharedFolders, answers
 from camcal.run.fanout import fan_out
 from camcal.run.fingerprint import versions
 from camcal.run.options import BatchOptions
@@ -204,16 +204,16 @@ def test_without_dask_the_extra_is_named(monkeypatch):
 def test_a_worker_with_other_versions_refuses_items():
     other = RunTerms(**{**vars(TERMS), "versions": {**versions(), "opencv": "4.14.0"}})
     with pytest.raises(InvalidInput, match=r"has opencv \S+ instead of 4\.14\.0; install the same versions"):
-        answer(work.doubled, 1, other)
-    assert answer(work.doubled, 1, TERMS) == (2, None)
+        answers(work.doubled, [1], other)
+    assert answers(work.doubled, [1, 2], TERMS)[0] == [(2, None), (4, None)]
 
 
 def test_a_worker_works_in_the_folder_of_the_run_and_returns_to_its_own(tmp_path):
     before = Path.cwd()
     terms = RunTerms(**{**vars(TERMS), "folder": str(tmp_path)})
-    assert answer(lambda _: str(Path.cwd()), 0, terms) == (str(tmp_path), None)
+    assert answers(lambda _: str(Path.cwd()), [0], terms)[0] == [(str(tmp_path), None)]
     elsewhere = RunTerms(**{**vars(TERMS), "folder": str(tmp_path / "missing")})
-    folder, _ = answer(lambda _: str(Path.cwd()), 0, elsewhere)
+    [(folder, _)], _ = answers(lambda _: str(Path.cwd()), [0], elsewhere)
     assert Path(folder) not in (before, tmp_path)
     assert Path.cwd() == before
 
@@ -231,7 +231,7 @@ def test_a_file_is_written_only_where_the_sender_finds_it(tmp_path):
 
 def test_nothing_of_a_run_stays_with_the_worker():
     before = files.LEDGER.get(), urls.REMOTE.get()
-    answer(work.doubled, 1, RunTerms(**{**vars(TERMS), "max_pixels": 5}))
+    answers(work.doubled, [1], RunTerms(**{**vars(TERMS), "max_pixels": 5}))
     assert (files.LEDGER.get(), urls.REMOTE.get()) == before
     from camcal.images import limits
 
