@@ -379,8 +379,7 @@ def _taken(plane: _Plane, area: _Area, view: _View, before: Array) -> Array:
 
 def _misfit(view: _View, disparity: Array) -> Array:
     """Return by how much the images differ (h, w), gray levels, where disparities lay them on each other."""
-    height, width = disparity.shape
-    across, down = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))
+    down, across = np.indices(disparity.shape, np.float32)
     drawn = remap(view.right, across - disparity, down)
     return np.minimum(cv2.absdiff(view.left, drawn).astype(np.float32), _MOST_MISFIT)
 
