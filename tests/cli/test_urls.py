@@ -2,6 +2,7 @@
 
 import json
 import sys
+import tempfile
 
 import fsspec
 import numpy as np
@@ -19,8 +20,10 @@ LENS = Camera(model_named("opencv5"), (120, 80), np.array([90.0, 91, 61, 39, -0.
 
 
 @pytest.fixture(autouse=True)
-def no_urls_before():
+def no_urls_before(tmp_path, monkeypatch):
     token = urls.REMOTE.set(None)
+    (tmp_path / "temporary").mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "temporary"))
     yield
     urls.REMOTE.reset(token)
 
