@@ -32,6 +32,7 @@ DIVERGING_MAP = "PuOr"
 
 _DPI = 160
 _FONT = 10.0  # points
+_LONGEST = 100  # letters of a title, which may hold a text of a file
 _SHORT = 100.0  # of the ends of a logarithmic axis
 
 
@@ -113,7 +114,8 @@ def _drawn(plot: Plot, theme: Theme, *, titled: bool) -> Figure:
     figure = Figure(figsize=plot.size, dpi=_DPI, layout="constrained")
     FigureCanvasAgg(figure)
     if titled:
-        figure.suptitle(plot.title, fontsize=_FONT + 1, fontweight="bold")
+        title = plot.title if len(plot.title) <= _LONGEST else f"{plot.title[:_LONGEST]}…"
+        figure.suptitle(title, fontsize=_FONT + 1, fontweight="bold")
     plot.draw(figure, theme)
     engine = figure.get_layout_engine()
     assert engine is not None
