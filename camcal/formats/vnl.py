@@ -15,7 +15,7 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.errors import InvalidInput
-from camcal.formats.tables import Lines, Table, numbered_lines
+from camcal.formats.tables import Lines, Table, far_outside, numbered_lines
 from camcal.targets.board import Board
 from camcal.targets.detection import BoardDetection, Detections
 
@@ -83,7 +83,12 @@ def _view(rows: Table, name: str, size: tuple[int, int], board: Board) -> BoardD
     rows = rows.rows(ids)
     pixels = np.column_stack([rows.numbers("x"), rows.numbers("y")])
     std = _relative_std(rows)
-    kept = (pixels >= 0).all(axis=1) & np.isfinite(std)
+    placed = (pixels >= 0).all(axis=1)
+    rows.refuse(
+        placed & far_outside(pixels, np.array(size)),
+        lambda row: f"({pixels[row, 0]:g}, {pixels[row, 1]:g}) is far outside of the image of {size[0]}x{size[1]}",
+    )
+    kept = placed & np.isfinite(std)
     if not kept.any():
         return BoardDetection(name, size, reason="listed without corners")
     covariance = None if np.all(std[kept] == 1) else std[kept, None, None] ** 2 * np.eye(2)

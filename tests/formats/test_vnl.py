@@ -115,3 +115,10 @@ def test_a_name_with_white_space_or_a_missing_board_cannot_be_written(tmp_path):
     with pytest.raises(InvalidInput, match="give --board"):
         detections.write(tmp_path / "corners.vnl", Detections(None, ()))
     assert not list(tmp_path.iterdir())
+
+
+def test_a_corner_far_outside_of_the_image_is_refused_with_its_line(tmp_path):
+    path = tmp_path / "corners.vnl"
+    path.write_text("# filename x y level\n" + "".join(f"a.png {k} 1 0\n" for k in range(5)) + "a.png 5 1e308 0\n")
+    with pytest.raises(InvalidInput, match=r"corners\.vnl:7: \(5, 1e\+308\) is far outside of the image of 640x480"):
+        detections.read(path, parse_board("chessboard:3x2:25mm"), (640, 480))
