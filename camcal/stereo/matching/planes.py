@@ -379,8 +379,8 @@ def _taken(plane: _Plane, area: _Area, view: _View, before: Array) -> Array:
 
 def _misfit(view: _View, disparity: Array) -> Array:
     """Return by how much the images differ (h, w), gray levels, where disparities lay them on each other."""
-    down, across = np.indices(disparity.shape, np.float32)
-    drawn = remap(view.right, across - disparity, down)
+    place: Array = np.indices(disparity.shape, np.float32)
+    drawn = remap(view.right, place[1] - disparity, place[0])
     return np.minimum(cv2.absdiff(view.left, drawn).astype(np.float32), _MOST_MISFIT)
 
 
