@@ -2,8 +2,9 @@
 
 JPEG images with the spectrum and the noise of photographs, large and small, in a temporary folder. camcal: the whole
 command, from listing the folder to writing the camera file. Alone: nothing but the three steps on all cores, once with
-OpenCV's functions and once with camcal's own, maps made before; OpenCV has one thread for each. All take turns, each
-going first every other time, and the fastest round of each counts, so that a busy machine disturbs all alike.
+OpenCV's functions and once with camcal's own, maps made before; OpenCV has one thread for each. "of alone" is camcal's
+rate against the faster of these two. All take turns, each going first every other time, and ratios are of one round
+each, medians of all, so that a busy machine disturbs all alike.
 
     python benchmarks/batch_speed.py [--images 32] [--small 1500] [--repeats 5] [--folder FOLDER]
 """
@@ -13,6 +14,7 @@ import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+import statistics
 import tempfile
 import time
 from collections.abc import Callable, Iterable
@@ -53,7 +55,9 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--folder", type=Path, help="where the temporary folder goes")
     arguments = parser.parse_args()
-    print(f"OpenCV {cv2.__version__}, {available_cores()} cores; images per second, the fastest of {arguments.repeats}")
+    print(
+        f"OpenCV {cv2.__version__}, {available_cores()} cores; images per second, medians of {arguments.repeats} rounds"
+    )
     heads = zip(("images", "cv2 alone", "own alone", "camcal", "-j 1", "of alone", "-j 2 / -j 1"), WIDTHS, strict=True)
     print(" ".join(f"{head:>{width}}" for head, width in heads))
     for size, count in ((SIZE, arguments.images), (SMALL, arguments.small)):
@@ -75,11 +79,13 @@ def row(batch: "Batch", repeats: int) -> str:
             start = time.perf_counter()
             works[name]()
             taken[name].append(time.perf_counter() - start)
-    rate = {name: len(batch.sources) / min(seconds[1:]) for name, seconds in taken.items()}
-    share = rate["camcal"] / max(rate["cv2"], rate["own"])
+    rounds = [dict(zip(taken, seconds, strict=True)) for seconds in zip(*taken.values(), strict=True)][1:]
+    rate = {name: len(batch.sources) / statistics.median(each[name] for each in rounds) for name in works}
+    share = statistics.median(min(each["cv2"], each["own"]) / each["camcal"] for each in rounds)
+    gain = statistics.median(each["one"] / each["two"] for each in rounds)
     images = f"{len(batch.sources)} of {batch.camera.image_size[0]}x{batch.camera.image_size[1]}"
     cells = [images, *(f"{rate[name]:.1f}" for name in ("cv2", "own", "camcal", "one"))]
-    cells += [f"{100 * share:.0f} %", f"{rate['two'] / rate['one']:.2f}"]
+    cells += [f"{100 * share:.0f} %", f"{gain:.2f}"]
     return " ".join(f"{cell:>{width}}" for cell, width in zip(cells, WIDTHS, strict=True))
 
 
