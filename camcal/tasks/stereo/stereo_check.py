@@ -36,7 +36,7 @@ Pair = tuple[Path, Path]
 class CheckedPair:
     """A pair, the figures of what was found of it, and its picture if one was asked for.
 
-    offsets: by how much the rows of its features are off, as they occur: (N, 2) multiples of `_STEP_PX`, and counts.
+    offsets: (N, 2) by how much the rows of features are off, in multiples of `_STEP_PX`, and of how many features.
     """
 
     left: Path
@@ -110,7 +110,7 @@ def _counted(rows: Array) -> tuple[Array, Array]:
 
 
 def _quantile(values: Array, counts: Array, share: float) -> float:
-    """Return the smallest of values in order that is not exceeded by this share of all."""
+    """Return the smallest of values, in order and with their counts, that a share of all does not exceed."""
     reached = np.cumsum(counts)
     return float(values[np.searchsorted(reached, share * reached[-1])])
 
