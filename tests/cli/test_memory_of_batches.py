@@ -1,7 +1,7 @@
 """Memory that commands take for many images: it grows by a few kilobytes of records for each, never by its pixels.
 
 What Python and numpy allocate is counted, in this process. Not shown here: memory of worker processes, each of which
-has one item in flight, of libraries below numpy, and of pictures with a legend (stereo disparity --vis, stereo eval -o),
+has one item in flight, and of libraries below numpy; pictures with a legend (stereo disparity --vis, stereo eval -o),
 which wait for Python's garbage collection. `stereo eval --figures` does hold the maps of all pairs, and is not here.
 """
 
