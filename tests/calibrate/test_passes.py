@@ -75,7 +75,8 @@ def falling(rate, first=1.0, count=200):
         (falling(0.5), 8),  # 2⁻⁷ = 0.0078 is the first whose remainder, as much again, is less than 0.01
         (falling(0.25), 5),  # 4⁻⁴ = 0.0039; what remains is less than the change itself
         (falling(0.8), 28),  # 4 times as much remains: 0.8²⁷ = 0.0024
-        (falling(0.9), 60),  # nine times: 0.9⁶⁵ would do
+        (falling(0.9), 66),  # nine times: 0.9⁶⁵ = 0.00106
+        (falling(0.94), 100),  # 16 times: 0.94¹¹⁹ would do
         ([0.0] * 5, 2),
         ([0.009, 0.009, 0.009, 0.0001], 4),  # no less than before: 19 times as much may remain
         ([0.009, 0.00051, 0.0], 2),
