@@ -55,7 +55,8 @@ class Journal:
     def close(self) -> None:
         """End writing."""
         if self._stream is not None:
-            self._stream.close()
+            with suppress(OSError):  # of a line that a full disk did not take
+                self._stream.close()
 
     def remove(self) -> None:
         """Remove the file, if there is one."""
