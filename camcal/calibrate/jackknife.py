@@ -150,10 +150,9 @@ def covariance_of(
 
     Its scale over the image is that of the scatter from view to view and of the estimates about their mean, no less
     than the estimates claim; blocks: of the metric's parameters, each with a scale of its own; products: as of
-    `weights_of`. Its shape is that of the
-    same scatter, which G views determine in as many directions only, drawn towards the claimed one as by D further
-    views. Without evidence for errors within views, the claimed one is right and CR3 too large, unless the views are
-    too few to show such errors.
+    `weights_of`. Its shape is that of the same scatter, which G views determine in as many directions only, drawn
+    towards the claimed one as by D further views. Without evidence for errors within views, the claimed one is right
+    and CR3 too large, unless the views are too few to show such errors.
     """
     claimed = np.tensordot(weights, np.stack([own.posterior.shared for own in estimates]), axes=1)
     others = _weights_of_others(left_out, metric, evidence, products)

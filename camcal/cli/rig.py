@@ -1,17 +1,21 @@
 """`camcal rig` and `camcal stereo calibrate`."""
 
+from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 from camcal.cli import show
 from camcal.cli.call import ImageCall
 from camcal.messages import counted
+from camcal.progress import Progress
 from camcal.tasks.rigs.options import RigSettings, RigTaskOptions, StereoCalibrateOptions
 
 if TYPE_CHECKING:
     from camcal.tasks.rigs.calibrate_rig import RigReport
 
 CAMERAS_DRAWN = 4
+
+Options = TypeVar("Options", RigTaskOptions, StereoCalibrateOptions)
 
 
 def rig(options: RigTaskOptions, call: ImageCall) -> None:
@@ -23,19 +27,18 @@ def rig(options: RigTaskOptions, call: ImageCall) -> None:
     """
     from camcal.tasks.rigs.calibrate_rig import rig as run
 
-    settings = options.settings
-    call.once(
-        options,
-        settings.output,
-        lambda: _finish(run(options, call.progress), settings, call),
-        resume=settings.batch.resume,
-    )
+    _calibrate(run, options, call)
 
 
 def stereo_calibrate(options: StereoCalibrateOptions, call: ImageCall) -> None:
     """Calibrate a pair of cameras, left and right, from images of a board: 'camcal rig' for two cameras."""
     from camcal.tasks.rigs.calibrate_rig import stereo_calibrate as run
 
+    _calibrate(run, options, call)
+
+
+def _calibrate(run: Callable[[Options, Progress], "RigReport"], options: Options, call: ImageCall) -> None:
+    """Do the task unless an earlier run has done the same, and show what comes of it."""
     settings = options.settings
     call.once(
         options,
