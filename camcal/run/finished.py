@@ -38,7 +38,8 @@ class Finished:
         with files.unwatched(), suppress(FileError):
             hashes = values_of(fan_out(fingerprint.of_file, paths))
             named = [[path.as_posix(), each] for path, each in zip(paths, hashes, strict=True)]
-            self.made_from = fingerprint.of_data([command, fingerprint.of_settings(options), named])
+            asked = _asked_for(options, output)
+            self.made_from = fingerprint.of_data([command, fingerprint.of_settings(options), asked, named])
 
     def document(self) -> dict[str, Any] | None:
         """Return what the run printed as JSON, None if it has to be done."""
@@ -63,6 +64,13 @@ class Finished:
         result = json.dumps({"files": names, "document": document}, separators=(",", ":"))
         own = made[self.output.absolute()]
         run.results[self.output.absolute()] = own._replace(made_from=self.made_from, result=result)
+
+
+def _asked_for(options: Any, output: Path) -> dict[str, list[str]]:
+    """Return the options that count beside the settings: the other files that are written, and checks of the result."""
+    known = [each for each in declared(type(options)) if fingerprint.counts(each) and not each.option.recorded]
+    values = [(each, each.of(options)) for each in known]
+    return {each.key: each.words(value) for each, value in values if value is not None and value != output}
 
 
 def _inputs(options: Any) -> Iterator[Path]:

@@ -48,6 +48,15 @@ def test_the_document_of_a_finished_run_is_repeated(run, photographs):
     assert {**first, "warnings": []} == {**again, "warnings": []}
 
 
+def test_a_finished_run_is_repeated_for_a_file_that_is_asked_for_now(run, photographs):
+    command = ("detect", "photos", "--board", "chessboard:5x4", "-o", "corners.csv", "--resume", "--jobs", 1)
+    assert run(*command)[0] == 0
+    assert "nothing to do" in run(*command, "--overwrite")[1]
+    assert "nothing to do" not in run(*command, "--draw", "drawn")[1]
+    assert sorted(path.name for path in Path("drawn").glob("[!.]*")) == ["0_corners.png", "1_corners.png"]
+    assert "nothing to do" in run(*command, "--draw", "drawn")[1]
+
+
 def test_an_input_that_cannot_be_read_fails_alone_with_resume_too(run, photographs):
     Path("photos/3.png").write_bytes(b"")
     command = ("detect", "photos", "--board", "chessboard:5x4", "-o", "corners.csv", "--resume", "--jobs", 1)

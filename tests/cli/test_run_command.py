@@ -5,12 +5,15 @@ import os
 import shutil
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 from command_page import REGISTERED
 
 from camcal import urls
 from camcal.cli.steps import StepCommands
 from camcal.options import declared
+from camcal.run.fingerprint import counts
 from camcal.tasks.pipelines.reading import KEYS, STEP_KEYS
 
 CAMERAS = Path(__file__).parents[2] / "sample_configs" / "cameras"
@@ -115,6 +118,15 @@ def test_what_changed_and_what_depends_on_it_runs_again(states, run, folder, cha
     planned = run("run", "work/pipeline.yaml", "--dry-run")[1]
     assert reason in planned
     assert states() == (0, expected)
+
+
+def test_a_step_runs_again_for_another_file_that_is_asked_for(states, folder):
+    cv2.imwrite(str(folder / "photo.png"), np.zeros((480, 640), np.uint8))
+    text = "steps: {views: {command: undistort, arguments: [camera.yaml, photo.png], output: out}}\n"
+    assert states(text=text)[1] == {"views": "done"}
+    assert states(text=text.replace("output", "mask: true, output"))[1] == {"views": "done"}
+    assert (folder / "out" / "valid_mask.png").is_file()
+    assert states(text=text.replace("output", "mask: true, overwrite: true, output"))[1] == {"views": "up_to_date"}
 
 
 def test_a_dry_run_lists_why_steps_would_run_and_does_nothing(run, folder, states):
@@ -431,3 +443,10 @@ def test_no_option_is_called_as_a_key_of_a_step_and_every_command_but_three_may_
     assert names.isdisjoint(STEP_KEYS)
     assert set(REGISTERED) - set(commands) == {"run", "demo", "doctor"}
     assert set(KEYS) == {"variables", "environment", "lists", "steps"}
+
+
+def test_only_options_that_say_how_a_step_works_do_not_count():
+    """Others, checks of the result among them, run a step again when they change."""
+    options = [each for record in StepCommands().values() for each in declared(record)]
+    how = {"--jobs", "--overwrite", "--timeout", "--fail-fast", "--resume", "--scheduler"}
+    assert {each.name for each in options if not counts(each)} == how

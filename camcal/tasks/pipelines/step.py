@@ -9,6 +9,7 @@ from typing import Any
 from camcal import urls
 from camcal.messages import Message
 from camcal.options import Declared, assembled, declared
+from camcal.run.fingerprint import counts
 from camcal.run.option_paths import inputs_of, outputs_of
 
 Figure = str | float | bool
@@ -40,8 +41,8 @@ class Step:
 
     @cached_property
     def settings(self) -> dict[str, list[str]]:
-        """The words that give every option that the file sets and a result may depend on."""
-        given = {each.key: each.words(value) for each, value in self.given.items() if _counts(each)}
+        """The words that give every option that the file sets and files or exit code may depend on."""
+        given = {each.key: each.words(value) for each, value in self.given.items() if counts(each)}
         return {key: [urls.named(word) for word in words] for key, words in given.items()}
 
     @cached_property
@@ -58,10 +59,6 @@ class Step:
     def recursive(self) -> bool:
         """Whether folders are read recursively."""
         return any(each.key == "recursive" and value for each, value in self.given.items())
-
-
-def _counts(each: Declared) -> bool:
-    return each.option.recorded or each.option.written is not None
 
 
 @dataclass(frozen=True)
