@@ -15,9 +15,8 @@ from camcal.errors import EXIT_BUG, ItemsFailed, translated
 from camcal.messages import Message
 from camcal.options import declared
 from camcal.progress import SILENT, Progress
+from camcal.tasks.pipelines.reading import NOT_STEPS
 from camcal.tasks.pipelines.step import StepError, StepJob, StepResult, below_here, figures_of
-
-NOT_STEPS = ("run", "demo", "doctor")  # pipelines do not call each other, and nothing depends on the others
 
 
 class StepCommands(Mapping[str, type]):

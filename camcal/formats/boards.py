@@ -60,10 +60,12 @@ def write(path: Path, board: Board) -> None:
 
 def load_board(text: str | Path) -> Board:
     """Return the board that `text` means: the path of a YAML file, or a short form such as chessboard:9x6:25mm."""
-    path = Path(text)
-    if path.suffix.lower() in SUFFIXES or path.is_file():
-        return read(path)
-    return parse_board(str(text))
+    return read(Path(text)) if names_file(text) else parse_board(str(text))
+
+
+def names_file(text: str | Path) -> bool:
+    """Return whether a text means a file, not the short form of a board."""
+    return Path(text).suffix.lower() in SUFFIXES or Path(text).is_file()
 
 
 def _check_file(data: Any, path: str) -> Iterator[Fault]:

@@ -17,10 +17,10 @@ from camcal.options import (
     OUTPUT,
     RAW_FRAMES,
     SIZE,
-    TEXT,
     Argument,
     Option,
     OptionsRecord,
+    ValueType,
     Without,
     Written,
     separated,
@@ -101,13 +101,25 @@ PictureFormat = Annotated[
     ),
 ]
 JpegQuality = Annotated[int, Option("JPEG quality.", metavar="1…100", group=OUTPUT, least=1, most=100)]
+
+
+def _board_text(text: str) -> str:
+    """Return the text that means a board; raises InvalidInput for a short form that is wrong."""
+    from camcal.formats import boards
+    from camcal.targets.board import parse_board
+
+    if ":" in text and not boards.names_file(text):
+        parse_board(text)
+    return text
+
+
 BOARD_OPTION = Option(
     "A board file, or a short form such as chessboard:9x6:25mm (inner corners), "
     "charuco:9x7:30mm:22mm:DICT_5X5_100 (squares), aprilgrid:6x6:88mm:0.3 (tags) or circles:10x8:25mm:15mm.",
     metavar="BOARD",
     group=BOARD,
     names="--board -b",
-    type=TEXT,
+    type=ValueType(_board_text, str, "a board"),
 )
 BoardText = Annotated[str | None, BOARD_OPTION]
 ReportFile = Annotated[

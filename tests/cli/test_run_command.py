@@ -11,10 +11,11 @@ import pytest
 from command_page import REGISTERED
 
 from camcal import urls
+from camcal.cli.call import ImageCall
 from camcal.cli.steps import StepCommands
 from camcal.options import declared
 from camcal.run.fingerprint import counts
-from camcal.tasks.pipelines.reading import KEYS, STEP_KEYS
+from camcal.tasks.pipelines.reading import KEYS, NOT_STEPS, OF_ALL_STEPS, STEP_KEYS
 
 CAMERAS = Path(__file__).parents[2] / "sample_configs" / "cameras"
 
@@ -261,6 +262,17 @@ steps:
     arguments: [camera.yaml, $(camera)]
   eight:
     command: [undistort]
+  nine:
+    command: undistort
+    argument: [camera.yaml, camera.yaml]
+    max-pixels: 2
+    output: out
+  ten:
+    command: doctor
+  eleven:
+    command: convert
+    arguments: [camera.yaml, copy.xml]
+    config: none.yaml
 """
     assert refused(run, folder, text) == [
         "1: variabels: unknown key. Did you mean 'variables'?",
@@ -277,6 +289,10 @@ steps:
         "30: steps.seven: output is missing",
         "32: steps.seven.arguments: $(camera) is a list: add 'foreach: camera' to the step",
         "34: steps.eight.command: no command \"['undistort']\" for a step. Did you mean 'undistort'?",
+        "37: steps.nine.argument: unknown key. Did you mean 'arguments'?",
+        "38: steps.nine.max-pixels: give --max-pixels to camcal run, for all steps",
+        "41: steps.ten.command: doctor cannot be a step",
+        "45: steps.eleven.config: none.yaml: no such file",
     ]
 
 
@@ -303,6 +319,19 @@ steps:
             CHAIN.replace("first.xml]", "first.gif]"),
             "5: steps.first: first.gif: .gif is not written; use .yaml, .yml, .xml, .json",
         ),
+        (
+            "lists: {size: [1, 2, 3]}\n" + CHAIN.replace("  first:", "  first:\n    foreach: size"),
+            "6: steps.first: OUT…: first.xml is the same for several items; put the item of the list into it",
+        ),
+        (
+            "variables: {a: $(b), b: 1}\n" + CHAIN,
+            "1: variables.a: $(b) is set below it; put it above",
+        ),
+        (
+            'steps: {a: {command: detect, arguments: camera.yaml, board: "chessbord:9x6", output: a.csv}}\n',
+            "1: steps.a.board: board 'chessbord:9x6': did you mean 'chessboard:9x6'?",
+        ),
+        (CHAIN + "    config: [a.yaml]\n", "8: steps.first.config: is the name of one settings file"),
         ("steps: {}\n", "1: steps: no steps; each is NAME: with its command and options"),
         ("steps: [a]\n", "1: steps: is a mapping, NAME: …, one for each line"),
         (
@@ -315,6 +344,15 @@ steps:
 )
 def test_a_pipeline_that_cannot_run_is_refused(run, folder, text, message):
     assert refused(run, folder, text)[0] == message
+
+
+@pytest.mark.parametrize(
+    ("name", "code", "message"),
+    [("work", 3, "work: is a folder"), ("-", 2, "-: a pipeline is read from a file"), ("none.yaml", 3, "no such file")],
+)
+def test_what_is_no_pipeline_file_is_refused(run, folder, name, code, message):
+    found = run("run", name)
+    assert (found[0], message in found[2]) == (code, True)
 
 
 def test_a_step_may_not_write_over_the_pipeline_or_its_inputs(states, folder):
@@ -441,7 +479,8 @@ def test_no_option_is_called_as_a_key_of_a_step_and_every_command_but_three_may_
         each.key.replace("-", "_") for record in commands.values() for each in declared(record) if not each.positional
     }
     assert names.isdisjoint(STEP_KEYS)
-    assert set(REGISTERED) - set(commands) == {"run", "demo", "doctor"}
+    assert set(REGISTERED) - set(commands) == set(NOT_STEPS)
+    assert {each.key for each in declared(ImageCall)} == set(OF_ALL_STEPS)
     assert set(KEYS) == {"variables", "environment", "lists", "steps"}
 
 

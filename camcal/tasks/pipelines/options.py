@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Annotated
 
 from camcal.errors import InvalidInput
+from camcal.files import STANDARD
 from camcal.options import INPUT, OUTPUT, Argument, Option, OptionsRecord, Without, Written
 from camcal.run.options import BatchOptions
 from camcal.tasks.options import Jobs, Overwrite
@@ -58,6 +59,10 @@ class PipelineOptions(OptionsRecord):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if str(self.pipeline) == STANDARD:
+            raise InvalidInput(
+                "a pipeline is read from a file: its paths are relative to the folder of that", where=STANDARD
+            )
         if self.only and self.first is not None:
             raise InvalidInput("--only and --from both choose steps; give one of them")
         for text in self.variables:

@@ -52,7 +52,7 @@ class Order:
 def ordered(pipeline: Pipeline) -> Order:
     """Return the steps in their order; raises InvalidInput for files that two steps write, and for a cycle."""
     steps = {step.name: step for step in pipeline.steps}
-    if found := list(_written_twice(pipeline)):
+    if found := dict.fromkeys(_written_twice(pipeline)):
         raise pipeline.document.error(found)
     makers = _Makers(pipeline.steps)
     of_family = {name: [step.name for step in members] for name, members in families(pipeline.steps).items()}
@@ -74,7 +74,7 @@ def ordered(pipeline: Pipeline) -> Order:
         depth[name] = 1 + max((depth[other] for other in needs[name]), default=-1)
     names.sort(key=lambda name: (depth[name], place[name]))
     order = Order({name: steps[name] for name in names}, needs)
-    if found := list(_unordered(pipeline, order, makers)):
+    if found := dict.fromkeys(_unordered(pipeline, order, makers)):
         raise pipeline.document.error(found)
     return order
 
@@ -131,8 +131,10 @@ def _written_twice(pipeline: Pipeline) -> Iterator[Fault]:
         for path, each in step.outputs.items():
             other = known.setdefault(system.place_of(path), step)
             if other is not step:
-                text = f"{each.key}: {path} is written by step {other.name} too; give each a place of its own"
-                yield pipeline.fault(step, text)
+                text = f"is written by step {other.name} too; give each a place of its own"
+                if other.family == step.family:
+                    text = "is the same for several items; put the item of the list into it"
+                yield pipeline.fault(step, f"{each.key}: {path} {text}")
 
 
 def _unordered(pipeline: Pipeline, order: Order, makers: _Makers) -> Iterator[Fault]:

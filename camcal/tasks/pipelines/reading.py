@@ -6,13 +6,13 @@ Everything that is wrong with a file is found before a step runs, and named with
 import glob
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from camcal import files
-from camcal.errors import InvalidInput, in_one_line
+from camcal.errors import CamcalError, InvalidInput, in_one_line
 from camcal.files import STANDARD
 from camcal.formats import documents
 from camcal.formats.documents import Document, Fault, child
@@ -27,6 +27,8 @@ Commands = Mapping[str, type]
 
 KEYS = ("variables", "environment", "lists", "steps")
 STEP_KEYS = ("command", "arguments", "config", "foreach", "after")  # no option of a command is called so
+OF_ALL_STEPS = ("json", "quiet", "verbose", "max-pixels")  # options of commands that `camcal run` takes for all
+NOT_STEPS = ("run", "demo", "doctor")  # pipelines do not call each other, and nothing depends on the others
 
 _NAME = re.compile(r"[A-Za-z_][\w-]*\Z", re.ASCII)
 _PLACEHOLDER = re.compile(r"\$(\$?)\(([^()]*)\)")  # $(name), which YAML takes without quotes everywhere
@@ -165,6 +167,8 @@ class _Reader:
             return f"$({name}) is a list: add 'foreach: {name}' to the step"
         if not _NAME.match(name):
             return f"$({name}) is no variable; write $$({name}) for the text itself"
+        if name in self.block("variables"):
+            return f"$({name}) is set below it; put it above"
         return f"$({name}): no such variable{did_you_mean(name, known)}"
 
     def read_steps(self) -> list[Step]:
@@ -186,6 +190,8 @@ class _Reader:
         command = data.get("command")
         if command is None:
             self.note(path, "has no command")
+        elif command in NOT_STEPS:
+            self.note(child(path, "command"), f"{command} cannot be a step")
         elif not isinstance(command, str) or command not in self.commands:
             said = did_you_mean(str(command), self.commands, otherwise="; 'camcal --help' lists all")
             self.note(child(path, "command"), f"no command {str(command)!r} for a step{said}")
@@ -197,7 +203,7 @@ class _Reader:
         """Return the steps that a block of the file stands for."""
         own = {key: value for key, value in data.items() if key not in STEP_KEYS}
         keys = {each.key.replace("-", "_"): each for each in declared(record) if not each.positional}
-        unknown = list(wrong_settings(own, {key: _takes_list(each) for key, each in keys.items()}, path))
+        unknown = list(self.wrong_keys(path, own, keys))
         self.found += unknown
         before = tuple(self.texts(child(path, "after"), data.get("after", [])))
         for other in before:
@@ -214,6 +220,13 @@ class _Reader:
                 self.check(path, step)
             steps.append(step)
         return steps
+
+    def wrong_keys(self, path: str, own: Mapping[str, Any], keys: Mapping[str, Declared]) -> Iterator[Fault]:
+        """Yield what is wrong with the keys of a step that are no keys of every step, and with the kinds of values."""
+        of_all = [key for key in own if key.replace("_", "-") in OF_ALL_STEPS]
+        yield from (Fault(child(path, key), f"give --{key} to camcal run, for all steps") for key in of_all)
+        known = dict.fromkeys(STEP_KEYS, False) | {key: _takes_list(each) for key, each in keys.items()}
+        yield from wrong_settings({key: value for key, value in own.items() if key not in of_all}, known, path)
 
     def items(self, path: str, name: Any) -> list[tuple[str, str] | None]:
         """Return the items that a step is for, each with the name of their list; None if it is for none."""
@@ -235,9 +248,9 @@ class _Reader:
         """Return the values of the options of a step: those of its settings file, then its own, and its arguments."""
         texts: dict[Declared, tuple[str, Any]] = {}
         if "config" in data:
-            config = Path(str(self.filled(data["config"], child(path, "config"), item)))
-            settings = read_settings(config, {key: _takes_list(each) for key, each in keys.items()})
-            texts = {keys[key]: (child(path, "config"), value) for key, value in settings.values.items()}
+            place = child(path, "config")
+            config = self.settings(place, self.filled(data["config"], place, item), keys)
+            texts = {keys[key]: (place, value) for key, value in config.items()}
         for key, value in data.items():
             if key not in STEP_KEYS and not is_note(key):
                 each, place = keys[key.replace("-", "_")], child(path, key)
@@ -251,6 +264,18 @@ class _Reader:
             if each.required and each not in values and not each.positional:
                 self.note(path, f"{each.key} is missing")
         return {each: value for each, value in values.items() if value is not None}
+
+    def settings(self, path: str, config: Any, keys: Mapping[str, Declared]) -> Mapping[str, Any]:
+        """Return the values in a settings file; none if it is wrong."""
+        if not isinstance(config, str):
+            self.note(path, "is the name of one settings file")
+            return {}
+        try:
+            return read_settings(Path(config), {key: _takes_list(each) for key, each in keys.items()}).values
+        except CamcalError as error:
+            for line in str(error).splitlines():
+                self.note(path, line)
+            return {}
 
     def arguments(self, path: str, options: list[Declared], words: list[str]) -> dict[Declared, Any]:
         """Return the words that stand for each argument, as on a command line: one that takes several has the rest."""

@@ -81,8 +81,8 @@ def run_pipeline(
     Raises InvalidInput or FileError for a pipeline that is wrong, before any step runs; what a step raises is in its
     result.
     """
-    where, file, state_file = str(options.pipeline), options.pipeline.absolute(), options.state_file.absolute()
     text = files.read_text(options.pipeline)
+    where, file, state_file = str(options.pipeline), options.pipeline.absolute(), options.state_file.absolute()
     with _alone(options), watching() as ledger, chdir(file.parent):
         with files.unwatched():
             pipeline = read_pipeline(text, where, dict(each.split("=", 1) for each in options.variables), commands)
