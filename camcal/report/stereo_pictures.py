@@ -18,6 +18,7 @@ from matplotlib.ticker import MaxNLocator
 
 from camcal.arrays import Array
 from camcal.report.colour_scale import turbo_table
+from camcal.report.figures.figure import free_drawn
 from camcal.report.stereo_words import headline, line_of, verdict
 from camcal.stereo.geometry import StereoGeometry
 from camcal.stereo.pair.alignment import Residual
@@ -129,6 +130,7 @@ class _Strip:
     @staticmethod
     def below(picture: Array) -> "_Strip":
         """Return an empty legend for a picture."""
+        free_drawn()
         width = max(picture.shape[1], _NARROWEST)
         font = max(_SMALLEST_FONT, _FONT * width)
         size = (width, round(_STRIP * font))
@@ -211,6 +213,7 @@ def picture_of(check: PairCheck, left: Array) -> bytes:
     """
     left = left.T if check.upright else left
     height = _WIDTH * _IMAGE_SHARE * left.shape[0] / left.shape[1] + 1.0
+    free_drawn()
     with mpl.rc_context(_STYLE):
         figure = Figure(figsize=(_WIDTH, float(np.clip(height, *_HEIGHTS))), layout="constrained")
         FigureCanvasAgg(figure)

@@ -1,6 +1,6 @@
 """The files of figures: one for each, and a page with their captions."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,21 +14,29 @@ if TYPE_CHECKING:
 CAPTIONS = "figures.md"
 
 
-def write_figures(options: FigureOptions, plots: Sequence["Plot"], theme: str = THEMES[0]) -> tuple[Path, ...]:
+def write_figures(
+    options: FigureOptions, plots: Iterable["Plot"], theme: str = THEMES[0], names: Sequence[str] | None = None
+) -> tuple[Path, ...]:
     """Return the files of figures after writing them, and their captions, to the folder of the options.
 
+    names: of the figures, where these are made one after another, as they are written.
     Raises InvalidInput or FileError, before any is written, if one of them must not or cannot be.
     """
     if options.folder is None:
         return ()
     from camcal.report.figures import figure
 
-    paths = [options.folder / f"{name}.{options.kind}" for name in _distinct([plot.name for plot in plots])]
+    if names is None:
+        plots = list(plots)
+        names = [plot.name for plot in plots]
+    paths = [options.folder / f"{name}.{options.kind}" for name in _distinct(names)]
     captions = options.folder / CAPTIONS
     claim((*paths, captions))
+    parts = ["# Figures\n"]
     for path, plot in zip(paths, plots, strict=True):
         files.write_bytes(path, figure.encoded(plot, path.suffix, figure.THEMES[theme]))
-    files.write_text(captions, captions_page(plots, paths))
+        parts.append(f"## {plot.title}\n\n![{plot.alt}]({path.name})\n\n{plot.caption}\n")
+    files.write_text(captions, "\n".join(parts))
     return tuple(paths)
 
 
@@ -38,13 +46,6 @@ def _distinct(names: Sequence[str]) -> list[str]:
         name if name not in names[:index] else f"{name}_{1 + names[:index].count(name)}"
         for index, name in enumerate(names)
     ]
-
-
-def captions_page(plots: Sequence["Plot"], paths: Sequence[Path]) -> str:
-    """Return a page in Markdown that shows figures beside it with their captions."""
-    shown = zip(plots, paths, strict=True)
-    parts = [f"## {plot.title}\n\n![{plot.alt}]({path.name})\n\n{plot.caption}\n" for plot, path in shown]
-    return "\n".join(["# Figures\n", *parts])
 
 
 def figure_data(paths: Sequence[Path]) -> dict[str, Any]:

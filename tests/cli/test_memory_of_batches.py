@@ -1,8 +1,7 @@
 """Memory that commands take for many images: it grows by a few kilobytes of records for each, never by its pixels.
 
 What Python and numpy allocate is counted, in this process. Not shown here: memory of worker processes, each of which
-has one item in flight, and of libraries below numpy; pictures with a legend (stereo disparity --vis, stereo eval -o),
-which wait for Python's garbage collection. `stereo eval --figures` does hold the maps of all pairs, and is not here.
+has one item in flight, and of libraries below numpy.
 """
 
 import os
@@ -28,9 +27,9 @@ COMMANDS = {
     "pnp": "pnp {once}/truth.yaml {board} -o {out}/poses.yaml --board chessboard:9x6:25mm",
     "stereo rectify": "stereo rectify {scene}/rig.yaml {left} {right} -o {out}",
     "stereo check": "stereo check {left} {right}",
-    "stereo disparity": "stereo disparity {left} {right} {scene}/rig.yaml -o {out} --quality fast",
+    "stereo disparity": "stereo disparity {left} {right} {scene}/rig.yaml -o {out} --quality fast --vis",
     "stereo cloud": "stereo cloud {maps} {left} {scene}/rig.yaml -o {out}",
-    "stereo eval": "stereo eval {maps} {maps}",
+    "stereo eval": "stereo eval {maps} {maps} -o {out}",
     "stereo run": "stereo run {scene}/rig.yaml {left} {right} -o {out} --quality fast",
 }
 
@@ -84,3 +83,12 @@ def test_memory_does_not_grow_by_the_pixels_of_the_images(made, tmp_path, comman
     peak_of(command, few, tmp_path / "first")  # what is imported and kept by then
     grown = peak_of(command, many, tmp_path / "many") - peak_of(command, few, tmp_path / "few")
     assert grown < PER_ITEM * (MANY - FEW)
+
+
+def test_figures_of_maps_are_drawn_one_after_another(made, tmp_path):
+    few, many = (repeated(made, tmp_path / str(count), count) for count in (2, 4))
+    command = "stereo eval {maps} {maps} --figures {out}"
+    peak_of(command, few, tmp_path / "first")
+    grown = peak_of(command, many, tmp_path / "many") - peak_of(command, few, tmp_path / "few")
+    assert grown < 2 * 320 * 240 * 4  # the maps of two pairs, of which each figure would keep its own copy
+    assert len(list((tmp_path / "many").glob("*.png"))) == 12

@@ -13,6 +13,8 @@ from camcal.report.figures import image_plane
 from camcal.report.figures.figure import COLOUR_MAP, WIDTH, Plot, Theme, panel_height
 from camcal.stereo.truth import THRESHOLDS
 
+ERROR_PLOTS = ("error_histogram", "error_map", "bad_pixels")  # their names, in the order of `disparity_error_plots`
+
 _REACH = 4.0  # px of the histogram to either side
 _BINS = 81
 _MOST = 1200  # px of a side that are drawn

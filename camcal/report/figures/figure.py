@@ -5,6 +5,7 @@ there. Colours are those of Okabe and Ito, which people with any colour vision t
 viridis. Source: Okabe & Ito, Color universal design, 2008; Nuñez, Anderton & Renslow, PLoS ONE 13(7), 2018.
 """
 
+import gc
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from io import BytesIO
@@ -111,6 +112,7 @@ def drawn(plot: Plot, theme: Theme = LIGHT, *, titled: bool = True) -> Figure:
 
 
 def _drawn(plot: Plot, theme: Theme, *, titled: bool) -> Figure:
+    free_drawn()
     figure = Figure(figsize=plot.size, dpi=_DPI, layout="constrained")
     FigureCanvasAgg(figure)
     if titled:
@@ -193,7 +195,20 @@ def beside(name: str, title: str, plots: Sequence[Plot], *, below: bool = False)
 
 def of_part(plots: Sequence[Plot], part: str) -> tuple[Plot, ...]:
     """Return figures that are about a part of a result, such as one camera: its name is in their names and titles."""
-    return tuple(replace(plot, name=f"{stem_of(part)}_{plot.name}", title=f"{plot.title}, {part}") for plot in plots)
+    return tuple(replace(plot, name=name_of_part(plot.name, part), title=f"{plot.title}, {part}") for plot in plots)
+
+
+def name_of_part(name: str, part: str) -> str:
+    """Return the name of a figure that is about a part of a result."""
+    return f"{stem_of(part)}_{name}"
+
+
+def free_drawn() -> None:
+    """Free what was drawn before: the parts of a figure refer to one another, and would be kept until there are many.
+
+    Only young objects are looked at, which takes a millisecond.
+    """
+    gc.collect(1)
 
 
 def line_colours(theme: Theme) -> ListedColormap:

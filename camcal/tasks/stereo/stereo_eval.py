@@ -3,7 +3,7 @@
 There is one map and one truth, or folders of both.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -133,21 +133,29 @@ def stereo_eval(options: EvalOptions, progress: Progress = SILENT) -> EvalReport
 
 
 def _write_figures(reports: Sequence[PairReport], options: EvalOptions) -> tuple[Path, ...]:
-    """Write the figures of all maps, of several under their names; the maps are read once more."""
+    """Write the figures of all maps, of several under their names; the maps are read once more, one after another."""
     if options.figures.folder is None:
         return ()
+    from camcal.report.figures.disparity_errors import ERROR_PLOTS
+    from camcal.report.figures.figure import name_of_part
+
+    names = list(ERROR_PLOTS)
+    if len(reports) > 1:
+        names = [name_of_part(name, report.files.disparity.stem) for report in reports for name in ERROR_PLOTS]
+    return write_figures(options.figures, _plots(reports, options), names=names)
+
+
+def _plots(reports: Sequence[PairReport], options: EvalOptions) -> Iterator["Plot"]:
     from camcal.report.figures.disparity_errors import DisparityErrors, disparity_error_plots
     from camcal.report.figures.figure import of_part
 
-    plots: list[Plot] = []
     for report in reports:
         values = disparity.read(report.files.disparity, options.scale).matched()
         true = disparity.read(report.files.truth, options.truth_scale).matched()
         own = disparity_error_plots(
             DisparityErrors(values - true, np.isfinite(true), _visible(report.files, options, true)[0])
         )
-        plots += own if len(reports) == 1 else of_part(own, report.files.disparity.stem)
-    return write_figures(options.figures, plots)
+        yield from own if len(reports) == 1 else of_part(own, report.files.disparity.stem)
 
 
 def _unknown(evaluation: Evaluation, mean: Evaluation) -> str | None:
