@@ -197,6 +197,7 @@ CODES: Mapping[str, Mapping[str, str]] = {
         "strong_correlation": "two parameters are strongly correlated",
     },
     "Batches": {
+        "outputs_left": "files that a step of a pipeline wrote before and does not write now are still there",
         "stopped_at_failure": "items that were not begun after another one failed (--fail-fast)",
         "no_workers": "a Dask scheduler has no workers; the items wait for them",
     },

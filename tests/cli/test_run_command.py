@@ -460,6 +460,21 @@ def test_the_document_has_these_keys(run, folder):
     assert document["steps"][0]["outputs"] == ["first.xml"]
 
 
+def test_outputs_of_inputs_that_are_gone_are_named(run, folder):
+    (folder / "photos").mkdir()
+    for name in ("a", "b", "c"):
+        cv2.imwrite(str(folder / "photos" / f"{name}.png"), np.zeros((480, 640), np.uint8))
+    (folder / "pipeline.yaml").write_text(
+        "steps: {views: {command: undistort, arguments: [camera.yaml, photos], output: out}}\n"
+    )
+    assert run("run", "work/pipeline.yaml", "--quiet")[1:] == ("", "")
+    (folder / "photos" / "b.png").unlink()
+    (folder / "photos" / "c.png").unlink()
+    left = "camcal: warning: views: out/b.png: left from an earlier run and 1 other file; remove what later steps are"
+    assert run("run", "work/pipeline.yaml", "--quiet")[2].startswith(left)
+    assert run("run", "work/pipeline.yaml", "--quiet")[2] == ""
+
+
 def test_what_a_run_says_while_it_works(run, folder):
     _, out, err = run("run", "work/pipeline.yaml")
     assert err.splitlines() == [

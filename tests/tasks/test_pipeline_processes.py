@@ -13,6 +13,7 @@ from camcal.progress import SILENT
 from camcal.run.options import BatchOptions
 from camcal.tasks.pipelines.options import PipelineOptions
 from camcal.tasks.pipelines.run_pipeline import DONE, FAILED, NOT_RUN, run_pipeline
+from camcal.tasks.pipelines.step import StepResult
 
 CAMERA = Path(__file__).parents[2] / "sample_configs" / "cameras" / "pinhole.yaml"
 PIPELINE = """\
@@ -70,6 +71,21 @@ def test_steps_in_processes_write_the_same_bytes_as_one_by_one(pipeline):
     assert len(files_of(one)) >= 9
 
 
+@pytest.mark.parametrize("option", ["jobs: 2", "timeout: 60", 'scheduler: "dask://local"'])
+def test_steps_that_start_processes_of_their_own_run_here(pipeline, option):
+    path = pipeline("here")
+    step = "{command: undistort, foreach: name, arguments: [camera.yaml, camera.yaml], output: $(name), %s}"
+    path.write_text(f"lists: {{name: [a, b, c]}}\nsteps: {{views: {step % option}}}\n")
+    processes = []
+
+    def noted(job, progress=SILENT):
+        processes.append(os.getpid())
+        return StepResult()
+
+    assert run(path, 2, noted).count(DONE) == 3
+    assert processes == [os.getpid()] * 3
+
+
 @pytest.mark.slow
 def test_a_cluster_writes_the_same_bytes(pipeline):
     pytest.importorskip("distributed")
@@ -93,7 +109,7 @@ def test_two_runs_of_one_pipeline_do_not_write_its_state_at_once(pipeline):
     path = pipeline("work")
 
     def nested(job, progress=SILENT):
-        with pytest.raises(FileError, match="another run of it goes on"):
+        with pytest.raises(FileError, match="another run of this pipeline is in progress"):
             run(path, 1)
         assert run(path, 1, dry_run=True).code == 0
         return perform(job, progress)

@@ -1,7 +1,7 @@
 """`camcal run`: the steps of a pipeline, those that are not up to date, in their order."""
 
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import chdir, contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
@@ -11,6 +11,7 @@ from typing import Protocol
 
 from camcal import files, system, urls
 from camcal.errors import EXIT_PRECEDENCE, FileError, InvalidInput
+from camcal.messages import Message, counted
 from camcal.parsing import did_you_mean
 from camcal.progress import SILENT, Outcome, Progress
 from camcal.run.fanout import fan_out
@@ -110,7 +111,9 @@ def _alone(options: PipelineOptions) -> Iterator[None]:
             try:
                 system.lock(handle)
             except BlockingIOError:
-                raise FileError("another run of it goes on; wait for its end", where=str(options.pipeline)) from None
+                raise FileError(
+                    "another run of this pipeline is in progress; wait until it has ended", where=str(options.pipeline)
+                ) from None
         yield
     finally:
         os.close(handle)
@@ -232,13 +235,16 @@ class _PipelineRun:
         other and has all jobs. On a cluster each is a job.
         """
         batch, count = self.options.batch, self.options.jobs or available_cores()
-        limited = any(each.key == "timeout" for name in due for each in self.chosen[name].given)
-        if len(due) < 2 or limited or (batch.scheduler is None and 2 * len(due) <= count):
-            for name, reason in due.items():
+        shared = [name for name in due if not self.chosen[name].starts_processes]
+        if len(shared) < 2 or (batch.scheduler is None and 2 * len(shared) <= count):
+            shared = []
+        for name, reason in due.items():
+            if name not in shared:
                 self.told(StepReport(self.chosen[name], STARTED, reason))
                 yield name, self.perform(self.job(name, self.options.jobs, batch.scheduler), self.progress)
+        if not shared:
             return
-        items = [self.job(name, 1) for name in due]
+        items = [self.job(name, 1) for name in shared]
         work = fan_out(
             self.perform, items, jobs=count, batch=batch, processes=True, what="steps", progress=self.progress
         )
@@ -261,11 +267,20 @@ class _PipelineRun:
         """Note the result of a step, and record it if it succeeded."""
         step = self.chosen[name]
         if result.error is None:
+            if left := self.state.left_by(step, result):
+                result = replace(result, warnings=(*result.warnings, _left(left)))
             self.state.keep(step, result, self.files(step))
         else:
             self.state.forget(name)
         self.state.write_soon()
         self.note(StepReport(step, DONE if result.error is None else FAILED, reason, result))
+
+
+def _left(names: Sequence[str]) -> Message:
+    """Return the warning that steps which read a folder find files in it that are no longer made."""
+    more = f" and {counted(len(names) - 1, 'other file')}" if len(names) > 1 else ""
+    text = f"left from an earlier run{more}; remove what later steps are not to read"
+    return Message("outputs_left", text, {"files": len(names)}, names[0])
 
 
 def _result(outcome: Outcome[StepJob, StepResult]) -> StepResult:

@@ -117,6 +117,12 @@ class State:
             as_data(result.failures),
         )
 
+    def left_by(self, step: Step, result: StepResult) -> list[str]:
+        """Return the files of the last run of a step that are still there, and of which this one knows nothing."""
+        record = self.records.get(step.name)
+        written = {name_of(path) for path in result.outputs}
+        return [name for name in record.outputs if name not in written and _path_of(name).exists()] if record else []
+
     def forget(self, name: str) -> None:
         """Drop the record of a step."""
         self.records.pop(name, None)

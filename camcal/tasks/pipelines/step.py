@@ -60,6 +60,12 @@ class Step:
         """Whether folders are read recursively."""
         return any(each.key == "recursive" and value for each, value in self.given.items())
 
+    @property
+    def starts_processes(self) -> bool:
+        """Whether its options ask for processes of its own, which those of a pool cannot start."""
+        own = {each.key: value for each, value in self.given.items()}
+        return "timeout" in own or "scheduler" in own or own.get("jobs", 1) != 1
+
 
 @dataclass(frozen=True)
 class StepJob:
