@@ -121,6 +121,15 @@ def test_what_changed_and_what_depends_on_it_runs_again(states, run, folder, cha
     assert states() == (0, expected)
 
 
+def test_other_arguments_and_another_date_of_files_run_a_step_again(states, run, folder, monkeypatch):
+    states()
+    (folder / "pipeline.yaml").write_text(CHAIN.replace("second.yaml", "third.yaml"))
+    assert "arguments changed" in run("run", "work/pipeline.yaml", "--dry-run")[1]
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "0")
+    reason = "SOURCE_DATE_EPOCH is 1970-01-01T00:00:00Z, was none"
+    assert reason in " ".join(run("run", "work/pipeline.yaml", "--dry-run")[1].split())
+
+
 def test_a_step_runs_again_for_another_file_that_is_asked_for(states, folder):
     cv2.imwrite(str(folder / "photo.png"), np.zeros((480, 640), np.uint8))
     text = "steps: {views: {command: undistort, arguments: [camera.yaml, photo.png], output: out}}\n"

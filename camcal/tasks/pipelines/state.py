@@ -17,6 +17,7 @@ from camcal import files, urls
 from camcal.errors import CamcalError, FileError, in_one_line
 from camcal.formats import documents
 from camcal.messages import Message, as_data, counted
+from camcal.options import declared
 from camcal.progress import SILENT, Progress
 from camcal.run import fingerprint
 from camcal.run.fanout import fan_out
@@ -26,6 +27,7 @@ from camcal.tasks.pipelines.step import Figure, Step, StepResult, below_here, na
 FORMAT = "camcal/run-state/1"
 MISSING = ""  # in the place of the hash of a file that is not there
 
+_VERSIONS = {"created": "SOURCE_DATE_EPOCH"}  # what a user calls them, where that is another name
 _PACKAGE = Path(camcal.__file__).parent
 _WRITE_S = 1.0  # at least between two writings of a state: with many steps it is large
 _FEW = 64  # files that are hashed without threads
@@ -148,10 +150,11 @@ class State:
         if record.command != step.command:
             return f"command changed from {record.command} to {step.command}"
         if keys := _different(record.settings, step.settings):
-            return f"{_and_more(keys)} changed"
+            arguments = {each.key for each in declared(step.record) if each.positional}
+            return f"{_and_more(['arguments' if key in arguments else key for key in keys])} changed"
         if names := _different(record.versions, self.versions):
             before, now = (found.get(names[0], "none") for found in (record.versions, self.versions))
-            return f"{names[0]} {now} in the place of {before}"
+            return f"{_VERSIONS.get(names[0], names[0])} is {now}, was {before}"
         return self._changed_file(record, inputs, progress)
 
     def _changed_file(self, record: StepRecord, inputs: Iterable[Path], progress: Progress) -> str | None:
