@@ -13,6 +13,7 @@ from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from functools import cache
 from pathlib import Path
+from threading import Lock
 from typing import BinaryIO, Protocol, TextIO
 from weakref import WeakKeyDictionary
 
@@ -36,6 +37,7 @@ _UNMISTAKABLE = (".json", ".xml")  # kinds that always begin so
 TEMPORARY = ".camcal.part-"  # how names of unfinished files begin
 _LONGEST_SUFFIX = 16
 _FULL = 1 << 16  # bytes free on a disk that counts as full
+_UMASK = Lock()
 
 
 class Ledger(Protocol):
@@ -124,8 +126,9 @@ def _put(temporary: Path, path: Path) -> None:
     """Flush a finished file to disk and give it its name."""
     with temporary.open("r+b") as stream:  # Windows flushes only what may be written
         os.fsync(stream.fileno())
-    umask = os.umask(0)
-    os.umask(umask)
+    with _UMASK:  # asking for it sets it: two threads at once would leave it at nothing
+        umask = os.umask(0)
+        os.umask(umask)
     temporary.chmod(0o666 & ~umask)
     temporary.replace(path)
 
