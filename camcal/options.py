@@ -241,6 +241,8 @@ class Declared:
 
     def _read(self, text: str) -> Any:
         assert self.type is not None
+        if not text and (self.positional or self.type is PATH):  # as a path it would be the working directory
+            raise self.invalid("an empty text; is a variable of the shell not set?")
         try:
             return self.type.read(text)
         except ValueError:

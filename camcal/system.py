@@ -6,7 +6,7 @@ Nothing else asks for what only some of them have; for signals and processes tha
 import os
 import select
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
 
@@ -23,6 +23,23 @@ def lock(handle: int) -> None:
     """Lock an open file; raises BlockingIOError if another process has, OSError where the file system has no locks."""
     if fcntl is not None:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
+@contextmanager
+def held(path: Path) -> Iterator[None]:
+    """Keep the lock of a file during the block, where there are locks; raises BlockingIOError as `lock` does."""
+    with ExitStack() as opened:
+        for access in (os.O_RDONLY, os.O_RDWR):  # NFS locks nothing that is opened for reading only
+            try:
+                handle = os.open(path, access | _WITHOUT_WAITING)
+                opened.callback(os.close, handle)
+                lock(handle)
+                break
+            except BlockingIOError:
+                raise
+            except OSError:  # a file system without locks, or a file that may not be written
+                continue
+        yield
 
 
 @contextmanager

@@ -1,5 +1,6 @@
 """What differs between systems: the case of names, here of a folder that two names stand for."""
 
+import errno
 import os
 
 import pytest
@@ -47,6 +48,25 @@ def test_a_pipe_has_data_when_something_was_written_or_its_end_has_come():
         os.close(ours)
         assert pipe.read() == b"some"
         assert system.wait_for_data(pipe, 0.0)
+
+
+@pytest.mark.skipif(not system.HAS_LOCKS, reason="this system has no locks")
+@pytest.mark.parametrize("for_writing", [False, True], ids=["any", "as NFS, opened for writing"])
+def test_a_held_file_is_refused_to_others_until_the_block_ends(tmp_path, monkeypatch, for_writing):
+    def lock_of_nfs(handle, operation):
+        if fcntl.fcntl(handle, fcntl.F_GETFL) & os.O_ACCMODE == os.O_RDONLY:
+            raise OSError(errno.EBADF, "not opened for writing")
+        flock(handle, operation)
+
+    fcntl, flock = system.fcntl, system.fcntl.flock
+    if for_writing:
+        monkeypatch.setattr(fcntl, "flock", lock_of_nfs)
+    path = tmp_path / "file"
+    path.write_bytes(b"content")
+    with system.held(path), pytest.raises(BlockingIOError), system.held(path):
+        pass
+    with system.held(path):
+        assert path.read_bytes() == b"content"
 
 
 def test_a_lock_is_held_by_one_at_a_time(tmp_path):

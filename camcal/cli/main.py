@@ -182,6 +182,8 @@ class Boundary(CommandGroup):
         if isinstance(error, typer.TyperException):
             error = _usage_error(error, self.named_in(arguments))
         code, kind, message, where = _described(error)
+        if isinstance(error, (KeyboardInterrupt, Stopped)):
+            message += self.what_is_left(arguments)
         if code != EXIT_BUG:
             show.error(f"{in_one_line(where)}: {message}" if where else message)
         if code == InvalidInput.exit_code and ["camcal", *arguments] == (named := self.named_in(arguments)).split():
@@ -200,6 +202,10 @@ class Boundary(CommandGroup):
 
     def named_in(self, arguments: list[str]) -> str:
         """Return the command that a command line names, such as 'camcal stereo cloud'."""
+        return self.found_in(arguments)[0]
+
+    def found_in(self, arguments: list[str]) -> tuple[str, Any]:
+        """Return the name of the command that a command line means, and the command."""
         command: Any = self
         names = ["camcal"]
         for argument in arguments:
@@ -207,7 +213,15 @@ class Boundary(CommandGroup):
                 break
             names.append(argument)
             command = command.commands[argument]
-        return " ".join(names)
+        return " ".join(names), command
+
+    def what_is_left(self, arguments: list[str]) -> str:
+        """Return how a command that was ended from outside does the rest only; empty if it begins again."""
+        name, command = self.found_in(arguments)
+        if name == "camcal run":
+            return "; repeat it to run the steps that are left"
+        options = {each.name for each in getattr(command, "declared", ())}
+        return "; repeat it with --resume to do only what is left" if "--resume" in options else ""
 
 
 def _usage_error(error: typer.TyperException, command: str) -> InvalidInput:

@@ -16,7 +16,7 @@ from camcal.errors import CamcalError, in_one_line
 from camcal.formats import documents
 from camcal.formats.documents import Fault, child
 from camcal.options import Declared, by_group
-from camcal.parsing import nearest
+from camcal.parsing import did_you_mean
 
 Value = str | bool | list[str]
 
@@ -72,9 +72,9 @@ def wrong_settings(data: Any, options: Mapping[str, bool], above: str = "") -> I
             continue
         name = key.replace("-", "_")
         if name not in options:
-            near = nearest(name, options)
-            said = f" Did you mean {near.replace('_', '-')!r}?" if near else ""
-            yield Fault(child(above, key), f"unknown key.{said}")
+            known = [option.replace("_", "-") for option in options]
+            said = did_you_mean(name.replace("_", "-"), known, otherwise="; --write-config lists those of the command")
+            yield Fault(child(above, key), f"unknown key{said}")
         elif name in seen:
             yield Fault(child(above, key), "given twice, once with - and once with _")
         elif problem := _problem(value, several=options[name]):

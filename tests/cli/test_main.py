@@ -5,7 +5,7 @@ import os
 import signal
 import subprocess
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Annotated
@@ -29,6 +29,7 @@ from camcal.errors import (
 )
 from camcal.messages import Message
 from camcal.options import Argument, Option, OptionsRecord
+from camcal.run.options import BatchOptions
 from camcal.tasks.options import Jobs
 
 ERRORS = {
@@ -68,12 +69,23 @@ def rest(call: Call) -> None:
     """Rest."""
 
 
+@dataclass(frozen=True)
+class BatchWorkOptions(OptionsRecord):
+    batch: BatchOptions = field(default_factory=BatchOptions)
+
+
+def batch_work(options: BatchWorkOptions, call: Call) -> None:
+    """Be interrupted."""
+    raise KeyboardInterrupt
+
+
 @pytest.fixture(scope="module")
 def app():
     nested = CommandGroup(
         name="nested", commands={"work": command("nested work", work), "rest": command("nested rest", rest)}
     )
-    return Boundary(name="camcal", commands={"work": command("work", work), "nested": nested}, rich_markup_mode=None)
+    commands = {"work": command("work", work), "batch": command("batch", batch_work), "nested": nested}
+    return Boundary(name="camcal", commands=commands, rich_markup_mode=None)
 
 
 @pytest.fixture
@@ -187,6 +199,18 @@ def test_json_after_a_double_dash_is_an_argument(run):
 
 def test_an_interrupt_exits_with_130(run):
     assert run("work", "interrupt") == (130, "", "camcal: error: interrupted\n")
+    text = "interrupted; repeat it with --resume to do only what is left"
+    assert run("batch") == (130, "", f"camcal: error: {text}\n")
+    code, out, _ = run("batch", "--json")
+    assert (code, json.loads(out)["error"]["message"]) == (130, text)
+
+
+def test_a_text_that_is_empty_is_no_path(run):
+    code, out, err = run("inspect", "", app=camcal_app)
+    message = (
+        "Invalid value for 'FILE': an empty text; is a variable of the shell not set?; see 'camcal inspect --help'"
+    )
+    assert (code, out, err) == (2, "", f"camcal: error: {message}\n")
 
 
 def test_no_command_shows_the_help_and_is_a_usage_error(run):
@@ -197,6 +221,12 @@ def test_no_command_shows_the_help_and_is_a_usage_error(run):
 
 def test_the_version_is_printed(run):
     assert run("--version", app=camcal_app) == (0, f"camcal {__version__}\n", "")
+
+
+def test_the_package_is_run_as_the_command_is(start_python):
+    process = start_python("-m", "camcal", "inspect", "none.yaml", stdout=subprocess.PIPE)
+    assert process.communicate(timeout=30) == ("", "camcal: error: none.yaml: no such file\n")
+    assert process.returncode == 3
 
 
 def test_every_command_has_help_and_the_options_all_share():
@@ -249,7 +279,7 @@ def test_a_settings_file_works_for_a_nested_command(run, settings):
     ("text", "words"),
     [
         ("jobs: 2\nsquare-m: 3\n", ":2: square-m: unknown key. Did you mean 'square-mm'?"),
-        ("json: true\n", ":1: json: unknown key."),
+        ("json: true\n", ":1: json: unknown key; --write-config lists those of the command"),
         ("label: a\njobs: many\n", ":2: Invalid value for '--jobs'"),
         ("square-mm: wide\n", ":1: Invalid value for '--square-mm'"),
         ("jobs: true\n", ":1: Invalid value for '--jobs'"),

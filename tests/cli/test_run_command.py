@@ -150,6 +150,14 @@ def test_a_dry_run_lists_why_steps_would_run_and_does_nothing(run, folder, state
     assert "first.xml missing" in out
 
 
+def test_a_dry_run_says_what_came_of_steps_that_are_up_to_date(run, folder, states):
+    states()
+    steps = json.loads(run("run", "work/pipeline.yaml", "--json")[1])["steps"]
+    planned = json.loads(run("run", "work/pipeline.yaml", "--json", "--dry-run")[1])["steps"]
+    assert planned == steps
+    assert steps[0]["outputs"] == ["first.xml"]
+
+
 def test_steps_can_be_chosen_and_forced(states, folder):
     states()
     assert states("--only", "second", "--force") == (0, {"second": "done"})
@@ -228,7 +236,11 @@ def test_an_interrupted_run_keeps_the_steps_that_have_ended(folder, run, monkeyp
     original = convert.convert
     interrupted.__annotations__ = original.__annotations__
     monkeypatch.setattr(convert, "convert", interrupted)
-    assert run("run", "work/pipeline.yaml", "--jobs", 1)[0] == 130
+    code, _, err = run("run", "work/pipeline.yaml", "--jobs", 1)
+    assert (code, err.splitlines()[-1]) == (
+        130,
+        "camcal: error: interrupted; repeat it to run the steps that are left",
+    )
     monkeypatch.undo()
     monkeypatch.chdir(folder)
     out = run("run", "pipeline.yaml", "--dry-run")[1]
@@ -327,6 +339,14 @@ steps:
         (
             CHAIN.replace("first.xml]", "first.gif]"),
             "5: steps.first: first.gif: .gif is not written; use .yaml, .yml, .xml, .json",
+        ),
+        (
+            CHAIN.replace("camera.yaml", '""'),
+            "7: steps.first.arguments: an empty text; is a variable of the shell not set?",
+        ),
+        (
+            CHAIN.replace("first.xml]", "first.xml]\n    frobnicate: 1"),
+            "8: steps.first.frobnicate: unknown key; --write-config lists those of the command",
         ),
         (
             "lists: {size: [1, 2, 3]}\n" + CHAIN.replace("  first:", "  first:\n    foreach: size"),
@@ -456,6 +476,19 @@ def test_a_damaged_state_means_that_all_steps_run_and_other_files_are_not_replac
     code, err = states()
     assert (code, "is not the state of a pipeline" in err) == (3, True)
     assert states("--state", "other.json") == (0, {"first": "done", "second": "done"})
+
+
+@pytest.mark.skipif(os.name != "posix" or os.geteuid() == 0, reason="root may write everywhere")
+def test_a_pipeline_in_a_folder_that_cannot_be_written_needs_another_place_for_its_state(states, folder):
+    folder.chmod(0o555)
+    try:
+        code, err = states()
+        planned = states("--dry-run")
+    finally:
+        folder.chmod(0o755)
+    assert (code, "pipeline.state.json: cannot be written" in err) == (3, True)
+    assert err.endswith("; choose another place with --state\n")
+    assert planned == (0, {"first": "would_run", "second": "would_run"})
 
 
 def test_the_document_has_these_keys(run, folder):

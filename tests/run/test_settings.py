@@ -45,7 +45,7 @@ def test_one_value_stands_for_a_list_of_one(settings):
     ("text", "line", "words"),
     [
         ("jobs: 2\nsquare-m: 3\n", 2, "square-m: unknown key. Did you mean 'square-mm'?"),
-        ("qqqq: 3\n", 1, "qqqq: unknown key."),
+        ("qqqq: 3\n", 1, "qqqq: unknown key; --write-config lists those of the command"),
         ("square-mm: 3\nsquare_mm: 4\n", 2, "square_mm: given twice"),
         ("jobs: 2\njobs: 3\n", 2, "duplicate key 'jobs' (first at line 1)"),
         ("jobs: [1, 2]\n", 1, "jobs: takes one value, not a list"),

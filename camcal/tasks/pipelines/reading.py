@@ -259,7 +259,10 @@ class _Reader:
         words = [str(self.filled(text, place, item)) for text in self.texts(place, data.get("arguments", []))]
         for each, given in self.arguments(place, [each for each in declared(record) if each.positional], words).items():
             texts[each] = place, given
-        values = {each: self.value(where, each, text) for each, (where, text) in texts.items()}
+        wrong = {fault.path for fault in self.found}  # such as an unknown variable: what it leaves is not judged too
+        values = {
+            each: None if where in wrong else self.value(where, each, text) for each, (where, text) in texts.items()
+        }
         for each in declared(record):
             if each.required and each not in values and not each.positional:
                 self.note(path, f"{each.key} is missing")

@@ -1,8 +1,7 @@
 """`camcal run`: the steps of a pipeline, those that are not up to date, in their order."""
 
-import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import chdir, contextmanager, suppress
+from contextlib import ExitStack, chdir, contextmanager
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 from functools import cached_property
@@ -95,7 +94,11 @@ def run_pipeline(
         run = _PipelineRun(order, chosen, state, options, file, perform, progress, told or (lambda _: None))
         if options.dry_run:
             return PipelineReport(where, tuple(run.foreseen()))
-        ledger.plan_named(state_file)
+        try:
+            ledger.plan_named(state_file)
+        except FileError as error:
+            text = f"{error.message}; choose another place with --state"
+            raise FileError(text, where=str(options.state_file)) from error
         return PipelineReport(where, tuple(run.all_steps()))
 
 
@@ -105,18 +108,13 @@ def _alone(options: PipelineOptions) -> Iterator[None]:
     if options.state is not None or options.dry_run:
         yield
         return
-    handle = system.open_to_read(options.pipeline)
-    try:
-        with suppress(OSError):  # a file system without locks
-            try:
-                system.lock(handle)
-            except BlockingIOError:
-                raise FileError(
-                    "another run of this pipeline is in progress; wait until it has ended", where=str(options.pipeline)
-                ) from None
+    with ExitStack() as held:
+        try:
+            held.enter_context(system.held(options.pipeline))
+        except BlockingIOError:
+            text = "another run of this pipeline is in progress; wait until it has ended"
+            raise FileError(text, where=str(options.pipeline)) from None
         yield
-    finally:
-        os.close(handle)
 
 
 def _chosen(order: Order, options: PipelineOptions) -> dict[str, Step]:
@@ -160,7 +158,7 @@ class _PipelineRun:
         for name, step in self.chosen.items():
             needed = [other for other in self.order.needs[name] if other in found and found[other].state == WOULD_RUN]
             reason = f"needs {needed[0]}, which would run" if needed else self.reason_to_run(step)
-            found[name] = StepReport(step, UP_TO_DATE if reason is None else WOULD_RUN, reason or "")
+            found[name] = StepReport(step, WOULD_RUN, reason) if reason else self.up_to_date(step)
         return list(found.values())
 
     def all_steps(self) -> list[StepReport]:
@@ -199,8 +197,12 @@ class _PipelineRun:
         elif (reason := self.reason_to_run(step)) is not None:
             return reason
         else:
-            self.note(StepReport(step, UP_TO_DATE, "", self.state.records[name].result))
+            self.note(self.up_to_date(step))
         return None
+
+    def up_to_date(self, step: Step) -> StepReport:
+        """Return the report of a step that need not run: what came of it the last time."""
+        return StepReport(step, UP_TO_DATE, "", self.state.records[step.name].result)
 
     def note(self, report: StepReport) -> None:
         """Keep what came of a step, and tell it."""
