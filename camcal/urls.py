@@ -18,6 +18,9 @@ class Remote(Protocol):
     def named(self, text: str) -> str:
         """Return a text with URLs in place of the paths that stand for them."""
 
+    def standing(self, text: str) -> str:
+        """Return a text with the paths that stand for URLs in place of these: what was made by `named`."""
+
     def local(self, path: Path) -> Path:
         """Return where the content of a path can be read."""
 
@@ -32,6 +35,9 @@ class Remote(Protocol):
 
     def append(self, path: Path, content: bytes) -> None:
         """Add to the file of a URL, which gets it later."""
+
+    def flush(self, path: Path) -> None:
+        """Let the file of a URL have all that was added to it."""
 
     def remove(self, path: Path) -> None:
         """Remove the file of a URL, if it is there."""
@@ -50,6 +56,12 @@ def named(text: str) -> str:
     """Return a text as users know it, with URLs in place of the paths that stand for them."""
     remote = REMOTE.get()
     return text if remote is None else remote.named(text)
+
+
+def standing(text: str) -> str:
+    """Return a text that was kept as `named` returned it, perhaps by another process, with paths in place of URLs."""
+    remote = REMOTE.get()
+    return text if remote is None else remote.standing(text)
 
 
 def item() -> AbstractContextManager[None]:
@@ -71,6 +83,12 @@ def append(path: Path, content: bytes) -> None:
         return
     with path.open("ab") as stream:
         stream.write(content)
+
+
+def flush(path: Path) -> None:
+    """Let a file have all that was added to it."""
+    if (remote := holder(path)) is not None:
+        remote.flush(path)
 
 
 def remove(path: Path) -> None:

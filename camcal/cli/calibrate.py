@@ -34,6 +34,7 @@ def calibrate(options: CalibrateOptions, call: ImageCall) -> None:
 
 def _calibrate(options: CalibrateOptions, call: ImageCall) -> None:
     from camcal.errors import ItemsFailed
+    from camcal.run.journal import going_on
     from camcal.tasks.calibration.calibrate import calibrate as run
     from camcal.tasks.calibration.calibrate import document, require_good
 
@@ -44,9 +45,9 @@ def _calibrate(options: CalibrateOptions, call: ImageCall) -> None:
     )
     require_good(report, options)
     if report.failed:
-        raise ItemsFailed(
-            f"{counted(len(report.failed), 'image')} could not be read: {', '.join(report.failed[: show.LISTED])}"
-        )
+        listed = ", ".join(report.failed[: show.LISTED])
+        again = going_on(options.output)
+        raise ItemsFailed(f"{counted(len(report.failed), 'image')} could not be read: {listed}{again}")
 
 
 def _show_calibration(report: "CalibrateReport", options: CalibrateOptions, verbose: bool) -> None:
@@ -144,13 +145,15 @@ def detect(options: DetectOptions, call: ImageCall) -> None:
 
 def _detect(options: DetectOptions, call: ImageCall) -> None:
     from camcal.errors import ItemsFailed
+    from camcal.run.journal import going_on
     from camcal.tasks.calibration.detect import detect_images, document
 
     report = detect_images(options, call.progress)
     call.give_found(lambda: document(report, options.output), lambda: _show_detections(report, options, call.verbose))
     show.failed(report.failed)
     if report.failed:
-        raise ItemsFailed(f"{counted(len(report.failed), 'image')} could not be read, the rest is written")
+        again = going_on(options.output)
+        raise ItemsFailed(f"{counted(len(report.failed), 'image')} could not be read, the rest is written{again}")
 
 
 def _show_detections(report: "DetectReport", options: DetectOptions, verbose: bool) -> None:

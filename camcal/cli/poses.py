@@ -26,6 +26,7 @@ def pnp(options: PnpOptions, call: ImageCall) -> None:
 
 def _pnp(options: PnpOptions, call: ImageCall) -> None:
     from camcal.errors import ItemsFailed, NotConverged
+    from camcal.run.journal import going_on
     from camcal.tasks.poses.pnp import document
     from camcal.tasks.poses.pnp import pnp as run
 
@@ -37,7 +38,8 @@ def _pnp(options: PnpOptions, call: ImageCall) -> None:
     if failed := report.failed:
         total = len(failed) + len(report.poses.estimates)
         listed = ", ".join(failed[: show.LISTED])
-        raise ItemsFailed(f"no pose from {len(failed)} of {counted(total, 'image')}: {listed}")
+        again = going_on(options.output)
+        raise ItemsFailed(f"no pose from {len(failed)} of {counted(total, 'image')}: {listed}{again}")
 
 
 def _show_poses(report: "PnpReport", options: PnpOptions, *, verbose: bool) -> None:

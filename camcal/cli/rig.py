@@ -51,15 +51,16 @@ def _calibrate(run: Callable[[Options, Progress], "RigReport"], options: Options
 def _finish(report: "RigReport", settings: RigSettings, call: ImageCall) -> None:
     """Show a report, and end as it and the settings say."""
     from camcal.errors import ItemsFailed
+    from camcal.run.journal import going_on
     from camcal.tasks.rigs.calibrate_rig import document, require_good
 
     failures = () if settings.require else report.failures  # which end the command with an error then
     call.give_found(lambda: document(report, settings), lambda: _show(report, settings, call.verbose), failures)
     require_good(report, settings)
     if report.failed:
-        raise ItemsFailed(
-            f"{counted(len(report.failed), 'image')} could not be read: {', '.join(report.failed[: show.LISTED])}"
-        )
+        listed = ", ".join(report.failed[: show.LISTED])
+        again = going_on(settings.output)
+        raise ItemsFailed(f"{counted(len(report.failed), 'image')} could not be read: {listed}{again}")
 
 
 def _show(report: "RigReport", settings: RigSettings, verbose: bool) -> None:

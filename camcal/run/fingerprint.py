@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 import camcal
-from camcal import files
+from camcal import files, urls
 from camcal.arrays import Array
 from camcal.formats import provenance
 from camcal.options import GENERAL, PATH, Declared, declared
@@ -41,7 +41,7 @@ def of_array(array: Array) -> str:
 
 def of_data(data: Any) -> str:
     """Return the hash of plain data: texts, numbers, lists and mappings, of which the order of the keys is no part."""
-    text = json.dumps(data, sort_keys=True, separators=(",", ":"))
+    text = urls.named(json.dumps(data, sort_keys=True, separators=(",", ":")))
     return hashlib.sha256(text.encode("utf-8")).hexdigest()
 
 

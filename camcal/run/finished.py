@@ -12,7 +12,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from camcal import files
+from camcal import files, urls
 from camcal.errors import FileError, in_one_line
 from camcal.options import declared
 from camcal.progress import values_of
@@ -61,7 +61,7 @@ class Finished:
         folder = self.output.absolute().parent
         made = {path: Entry.of(path) for path in sorted(run.planned) if path.is_file()}
         names = {Path(os.path.relpath(path, folder)).as_posix(): entry[:2] for path, entry in made.items()}
-        result = json.dumps({"files": names, "document": document}, separators=(",", ":"))
+        result = urls.named(json.dumps({"files": names, "document": document}, separators=(",", ":")))
         own = made[self.output.absolute()]
         run.results[self.output.absolute()] = own._replace(made_from=self.made_from, result=result)
 

@@ -1,8 +1,8 @@
 """What was found in single images, kept until the result that is made of all of them is written.
 
 A command with one result for many images leaves a journal beside its output while it works: a line for each image,
-with the fingerprint of what was looked at and what was found as JSON. A killed run leaves it behind, and the next one
-with --resume does not look at the same images again.
+with the fingerprint of what was looked at and what was found as JSON. A run that is killed, or for which images failed,
+leaves it behind, and the next one with --resume does not look at the same images again.
 """
 
 import json
@@ -11,9 +11,9 @@ from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO, Generic
+from typing import Any, Generic
 
-from camcal import files
+from camcal import files, urls
 from camcal.errors import CamcalError, FileError, reason
 from camcal.progress import SILENT, Item, Outcome, Progress, Value
 from camcal.run import records
@@ -30,43 +30,45 @@ def path_beside(output: Path) -> Path:
     return output.with_name(f".{output.name}.camcal-journal")
 
 
+def going_on(output: Path | None) -> str:
+    """Return what to add to the error of a run that has left its journal, nothing if it has not."""
+    left = output is not None and path_beside(output).is_file()
+    return "; with --resume the others are not searched again" if left else ""
+
+
 class Journal:
-    """The lines of a journal, those of earlier runs among them."""
+    """The lines of a journal, those of earlier runs among them. has_failures: images failed, which may be repaired."""
 
     def __init__(self, path: Path, *, resume: bool) -> None:
         self.path = path
+        self.has_failures = False
         self.known = dict(_lines(path)) if resume else {}
         if not resume:
             self.remove()
-        self._stream: BinaryIO | None = None
 
     def add(self, fingerprint: str, data: Any) -> None:
         """Add a line; raises FileError if it cannot be written."""
+        line = f"{fingerprint}\t{urls.named(json.dumps(data, separators=(',', ':')))}\n"
         try:
-            if self._stream is None:
-                self.path.parent.mkdir(parents=True, exist_ok=True)
-                self._stream = self.path.open("ab")
-                self._stream.write(b"\n")  # ends what a killed run left of a line
-            self._stream.write(f"{fingerprint}\t{json.dumps(data, separators=(',', ':'))}\n".encode())
-            self._stream.flush()
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            urls.append(self.path, f"\n{line}".encode())  # after what a killed run or a full disk left of a line
         except OSError as error:
             raise FileError(f"cannot be written: {reason(error)}", where=str(self.path)) from error
 
-    def close(self) -> None:
-        """End writing."""
-        if self._stream is not None:
-            with suppress(OSError):  # of a line that a full disk did not take
-                self._stream.close()
+    def leave(self) -> None:
+        """Leave the file for another run."""
+        with suppress(FileError):  # at a URL that is not reached; the images would only be searched again
+            urls.flush(self.path)
 
     def remove(self) -> None:
         """Remove the file, if there is one."""
-        with suppress(OSError):  # of a folder that cannot be written; the next run is not worse off
-            self.path.unlink(missing_ok=True)
+        with suppress(OSError, FileError):  # of a folder that cannot be written; the next run is not worse off
+            urls.remove(self.path)
 
 
 def _lines(path: Path) -> Iterator[tuple[str, str]]:
     """Yield fingerprints and what was found; a line that was not finished is none."""
-    with suppress(OSError), path.open("rb") as stream:
+    with suppress(FileError), files.unwatched(), files.opened(path) as stream:
         for line in stream:
             fingerprint, tab, data = line.decode("ascii", "replace").partition("\t")
             if tab and data.endswith("\n"):
@@ -90,15 +92,18 @@ def journal_beside(output: Path | None, batch: BatchOptions) -> Iterator[None]:
         return
     kept = Journal(path_beside(output), resume=batch.resume)
     token = _JOURNAL.set(kept)
+    stays = True
     try:
         yield
-        kept.remove()
+        stays = kept.has_failures
     except CamcalError as error:
-        if not batch.fail_fast and not isinstance(error, FileError):
-            kept.remove()
+        stays = kept.has_failures or isinstance(error, FileError)
         raise
     finally:
-        kept.close()
+        if stays:
+            kept.leave()
+        else:
+            kept.remove()
         _JOURNAL.reset(token)
 
 
@@ -147,7 +152,15 @@ def journaled(
             looked, left, jobs=jobs, batch=batch, processes=True, what=what, progress=progress, timeout=timeout
         )
 
-    return remembering(_Journaled(kept, found), every, fan, jobs=jobs, batch=batch, progress=progress)
+    outcomes = remembering(_Journaled(kept, found), every, fan, jobs=jobs, batch=batch, progress=progress)
+    return _watched(kept, outcomes)
+
+
+def _watched(kept: Journal, outcomes: Iterable[Outcome[Item, Value]]) -> Iterator[Outcome[Item, Value]]:
+    """Yield outcomes, and let the journal know of those that have failed."""
+    for outcome in outcomes:
+        kept.has_failures |= outcome.error is not None
+        yield outcome
 
 
 class _Journaled(Generic[Item, Value]):
@@ -170,7 +183,7 @@ class _Journaled(Generic[Item, Value]):
         data = self.kept.known.get(fingerprint_now)
         if data is not None:
             with suppress(KeyError, IndexError, TypeError, ValueError, CamcalError):  # changed by hand
-                value = records.of_plain(self.found.result, json.loads(data))
+                value = records.of_plain(self.found.result, json.loads(urls.standing(data)))
                 run = files.LEDGER.get()
                 if isinstance(run, Run):
                     run.found_before += 1

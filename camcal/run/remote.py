@@ -14,7 +14,7 @@ import shutil
 import tempfile
 import time
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from functools import cache
 from pathlib import Path
@@ -23,7 +23,7 @@ from typing import Any
 from camcal import urls
 from camcal.errors import CamcalError, FileError, InvalidInput
 
-_URL = re.compile(r"(?<![\w.+-])([A-Za-z][A-Za-z0-9+.-]+)://")
+_URL = re.compile(r"(?<![\w.+-])([A-Za-z][A-Za-z0-9+.-]+)://(/)?")
 _PASSWORD = re.compile(r"[^/@]*:[^/@]*@")
 _WITHOUT_FOLDERS = frozenset({"s3", "s3a", "gs", "gcs", "az", "abfs", "adl", "http", "https"})
 _SLASH = "@"  # for the third slash of URLs such as file:///data
@@ -51,6 +51,7 @@ class RemoteFiles:
     def __init__(self, root: Path) -> None:
         self.root = root
         self._copies: dict[Path, Path] = {}
+        self._unsent: set[Path] = set()
         self._send_again = float("-inf")
         self._spelled = re.compile(re.escape(root.as_posix()) + rf"/([\w+.-]+)/({_SLASH}/)?")
 
@@ -63,7 +64,7 @@ class RemoteFiles:
         if found is None:
             return text
         url = text[found.start() :]
-        path = self._path_of(found[1].lower(), text[found.end() :])
+        path = self._path_of(found[1].lower(), text[found.end(1) + len("://") :])
         with _reached(url):
             self._list(url, path)
         return f"{text[: found.start()]}{path}"
@@ -109,6 +110,11 @@ class RemoteFiles:
         """Return a text with URLs in place of the paths that stand for them."""
         return self._spelled.sub(lambda found: f"{found[1]}://{'/' if found[2] else ''}", text)
 
+    def standing(self, text: str) -> str:
+        """Return a text with paths in place of the URLs in it, without listing these."""
+        root = self.root.as_posix()
+        return _URL.sub(lambda found: f"{root}/{found[1]}/{f'{_SLASH}/' if found[2] else ''}", text)
+
     def local(self, path: Path) -> Path:
         """Return the copy of the file of a URL, made now if there is none; any other path as it is."""
         if not self.holds(path) or (self.root.is_dir() and not path.is_file()):
@@ -146,33 +152,43 @@ class RemoteFiles:
             _stand_in(path, temporary.stat().st_size)
 
     def append(self, path: Path, content: bytes) -> None:
-        """Add to the copy of the file of a URL; it is sent from time to time, and when the whole file is written."""
+        """Add to the copy of the file of a URL; it is sent from time to time, by `flush`, or as the file is written."""
         if not path.is_file():
             self._copies[path] = self.new_file(path)
         copy = self.local(path) if path.is_file() else self._copies[path]
         with copy.open("ab") as stream:
             stream.write(content)
         _stand_in(path, copy.stat().st_size)
+        self._unsent.add(path)
         began = time.monotonic()
         if began >= self._send_again:
+            try:
+                self.flush(path)
+            finally:
+                now = time.monotonic()
+                self._send_again = now + max(_SEND_S, _SENDING * (now - began))
+
+    def flush(self, path: Path) -> None:
+        """Let the file of a URL have all that was added to its copy."""
+        if path in self._unsent:
             url = self.named(path.as_posix())
             with _reached(url):
-                _upload(copy, url)
-            now = time.monotonic()
-            self._send_again = now + max(_SEND_S, _SENDING * (now - began))
+                _upload(self.local(path), url)
+            self._unsent.remove(path)
 
     def remove(self, path: Path) -> None:
         """Remove the file of a URL, if it is there."""
         if not path.is_file():
             return
         url = self.named(path.as_posix())
-        with _reached(url):
+        with _reached(url), suppress(FileNotFoundError):  # of a file that was not sent yet
             system, place = _file_system(url)
             system.rm_file(place)
         self._forget(path)
         path.unlink()
 
     def _forget(self, path: Path) -> None:
+        self._unsent.discard(path)
         for copies in (_COPIES.get(), self._copies):
             if copies and path in copies:
                 copies.pop(path).unlink(missing_ok=True)

@@ -66,7 +66,8 @@ def test_an_image_that_cannot_be_read_makes_the_exit_six_and_the_rest_is_written
     assert "broken.jpg" not in out
     failed, error = err.splitlines()
     assert failed.startswith(f"camcal: failed: {folder}/broken.jpg: ")
-    assert error == "camcal: error: 1 image could not be read, the rest is written"
+    again = "with --resume the others are not searched again"
+    assert error == f"camcal: error: 1 image could not be read, the rest is written; {again}"
     assert output.read_text().count("board.png") == 30
 
 

@@ -3,6 +3,7 @@
 import json
 import sys
 import tempfile
+from pathlib import Path
 
 import fsspec
 import numpy as np
@@ -11,7 +12,8 @@ import pytest
 from camcal import urls
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
-from camcal.formats import native
+from camcal.errors import FileError
+from camcal.formats import detections, native
 from camcal.formats.camera_file import CameraEntry, CameraFile
 from camcal.images.save import save
 from camcal.run import remote
@@ -228,3 +230,96 @@ def test_the_list_at_a_url_grows_while_a_run_goes_on(run, here, base, monkeypatc
     lists = [content for url, content in seen if url.endswith("/.camcal-output")]
     assert len(lists) >= 3
     assert lists[-1] == contents(f"{base}/out")[".camcal-output"]
+
+
+@pytest.fixture
+def boards(base):
+    """The URL of a folder with pictures of a chessboard, beside which results go to `corners.csv`."""
+    squares = np.kron(np.indices((6, 8)).sum(axis=0) % 2, np.ones((16, 16))).astype(np.uint8) * 160 + 40
+    for number in range(4):
+        save(Path(f"boards/{number}.png"), np.pad(squares, 16, constant_values=200 + number))
+    system, place = fsspec.core.url_to_fs(f"{base}/boards")
+    system.put("boards", place, recursive=True)
+    return f"{base}/boards"
+
+
+def search(run, base, *more):
+    """Detect in another process: what this one knows of URLs is forgotten. Returns the exit code and how many images
+    were not searched again.
+    """
+    urls.REMOTE.set(None)
+    call = ("detect", f"{base}/boards", "-b", "chessboard:7x5:25mm", "-o", f"{base}/corners.csv", "-j", 1, "--json")
+    code, out, err = run(*call, *more)
+    assert "Traceback" not in err
+    return code, json.loads(out).get("reused")
+
+
+JOURNAL = ".corners.csv.camcal-journal"
+
+
+def test_a_journal_at_a_url_stays_there_until_images_are_repaired(run, base, boards):
+    system, place = fsspec.core.url_to_fs(boards)
+    whole = system.cat_file(f"{place}/2.png")
+    system.pipe_file(f"{place}/2.png", whole[:200])
+    assert search(run, base) == (6, 0)
+    assert contents(base)[JOURNAL].count(b"\t") == 3
+    system.pipe_file(f"{place}/2.png", whole)
+    assert search(run, base, "--resume") == (0, 3)
+    resumed = contents(base)
+    assert JOURNAL not in resumed
+    assert search(run, base, "--resume") == (0, 4)
+    assert contents(base) == resumed
+    search(run, base)
+    assert contents(base)["corners.csv"] == resumed["corners.csv"]
+
+
+def test_a_run_that_is_interrupted_sends_its_journal(run, base, boards, monkeypatch):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(detections, "write", interrupted)
+        assert search(run, base)[0] == 130
+    assert contents(base)[JOURNAL].count(b"\t") == 4
+    assert search(run, base, "--resume") == (0, 4)
+    assert JOURNAL not in contents(base)
+
+
+PIPELINE = """\
+steps:
+  corners:
+    command: detect
+    arguments: {0}/boards
+    board: chessboard:7x5:25mm
+    output: {0}/corners.csv
+"""
+
+
+def test_a_step_of_a_pipeline_goes_on_from_the_journal_at_a_url(run, here, base, boards):
+    system, place = fsspec.core.url_to_fs(boards)
+    whole = system.cat_file(f"{place}/2.png")
+    (here / "pipeline.yaml").write_text(PIPELINE.format(base))
+    for content, expected, reused in ((whole[:200], 6, 0), (whole, 0, 3)):
+        system.pipe_file(f"{place}/2.png", content)
+        urls.REMOTE.set(None)
+        code, out, _ = run("run", "pipeline.yaml", "--json", "-j", 1)
+        assert (code, JOURNAL in contents(base)) == (expected, expected != 0)
+        assert json.loads(out)["steps"][0]["figures"]["reused"] == reused
+
+
+def test_an_upload_of_a_list_that_fails_is_tried_again_later(here, memory, monkeypatch):
+    tried = []
+
+    def refused(source, url):
+        tried.append(url)
+        raise OSError("no connection")
+
+    path = Path(remote.given("memory://lab/.corners.csv.camcal-journal"))
+    monkeypatch.setattr(remote, "_upload", refused)
+    with pytest.raises(FileError, match="cannot be reached: no connection"):
+        urls.append(path, b"first\n")
+    urls.append(path, b"second\n")
+    assert tried == ["memory://lab/.corners.csv.camcal-journal"]
+    monkeypatch.undo()
+    urls.flush(path)
+    assert memory.cat_file("/lab/.corners.csv.camcal-journal") == b"first\nsecond\n"

@@ -7,7 +7,7 @@ import pytest
 
 from camcal.errors import FileError, InvalidInput
 from camcal.run import records
-from camcal.run.journal import Found, journal_beside, journaled, path_beside
+from camcal.run.journal import Found, going_on, journal_beside, journaled, path_beside
 from camcal.run.options import DEFAULT_BATCH, BatchOptions
 from camcal.targets.board import Board
 from camcal.targets.detection import BoardDetection
@@ -97,6 +97,14 @@ def test_a_run_that_fails_leaves_a_journal_where_it_is_of_use(images, error, sta
     with pytest.raises(type(error)):
         fail_after_looking(images, error)
     assert path_beside(OUTPUT).exists() == stays
+
+
+def test_a_run_for_which_images_failed_leaves_a_journal_until_they_are_repaired(images):
+    look(images, stop=images[1], error=FileError("is damaged"))
+    assert going_on(OUTPUT) == "; with --resume the others are not searched again"
+    images[1].write_bytes(b"repaired")
+    assert look(images, RESUME)[0] == ["1"]
+    assert going_on(OUTPUT) == ""
 
 
 def test_records_of_detection_are_the_same_after_a_round_trip():
