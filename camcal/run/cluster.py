@@ -161,18 +161,30 @@ class _Submission(Generic[Item, Value]):
         self.finished: dict[int, Outcome[Item, Value] | None] = {}
         self.most_ahead = _FEWEST_AHEAD
         self.looked = float("-inf")
-        self.has_warned = self.has_failed = False
+        self.has_warned = self.has_failed = self.has_hung = False
         self.client: Any = None
 
     def outcomes(self) -> Generator[Outcome[Item, Value]]:
         """Yield the outcomes in the order of the items."""
+        run = files.LEDGER.get()
         self.connect(_CONNECT_S)
+        if isinstance(run, Run):
+            run.elsewhere += 1
+        yield from self.in_order()
+        if isinstance(run, Run) and not self.has_hung:  # an item that hung may still come to its end
+            run.elsewhere -= 1
+
+    def in_order(self) -> Generator[Outcome[Item, Value]]:
+        """Yield the outcomes of a cluster that was connected to, which is connected to again if that is lost."""
         for position in itertools.count():
             while position not in self.finished:
-                self.send(position)
-                if not self.at_work:
-                    return
-                self.collect()
+                try:
+                    self.send(position)
+                    if not self.at_work:
+                        return
+                    self.collect()
+                except _lost_connection():
+                    self.connect_again()
             if (outcome := self.finished.pop(position)) is not None:
                 yield outcome
 
@@ -182,10 +194,10 @@ class _Submission(Generic[Item, Value]):
 
         try:
             self.client = Client(self.address, timeout=patience, set_as_default=False)  # type: ignore[no-untyped-call]
+            self.require_camcal()
         except OSError as error:
             text = f"the scheduler {failure} ({reason(error)})"
             raise FileError(text, where=self.scheduler) from error
-        self.require_camcal()
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of its size: maps are large, and a task can be done again elsewhere
             self.sent_function = self.client.submit(_same, self.function, pure=False)
@@ -226,7 +238,10 @@ class _Submission(Generic[Item, Value]):
         if time.monotonic() - self.looked < _LOOK_S:
             return
         first, self.looked = self.looked == float("-inf"), time.monotonic()
-        count = len(self.client.scheduler_info(n_workers=-1)["workers"])
+        workers = self.client.scheduler_info(n_workers=-1).get("workers")
+        if workers is None:  # the scheduler is lost, as futures will tell
+            return
+        count = len(workers)
         self.most_ahead = max(_AHEAD * count, _FEWEST_AHEAD)
         if not count and not first and not self.has_warned:
             self.has_warned = True
@@ -253,8 +268,9 @@ class _Submission(Generic[Item, Value]):
         for future, (found, seconds) in zip(good, self.client.gather(good), strict=True):
             self.together = max(1, min(_MOST_TOGETHER, int(_TOGETHER_S / max(seconds, _SHORTEST_S))))
             for (index, item), reply in zip(self.at_work.pop(future), found, strict=True):
-                self.finished[index] = None if reply is None else Outcome(item, *reply)
-                self.has_failed |= self.terms.failure is not None and (reply is None or reply[1] is not None)
+                outcome = self.finished[index] = None if reply is None else Outcome(item, *reply)
+                self.has_failed |= self.terms.failure is not None and (outcome is None or outcome.error is not None)
+                self.has_hung |= outcome is not None and isinstance(outcome.error, ItemsFailed)
         for future in (future for future in done if future.status == "error"):
             self.fail(future)
 
@@ -280,14 +296,24 @@ class _Submission(Generic[Item, Value]):
         self.waiting.extend(sorted(itertools.chain(*self.at_work.values()), key=lambda task: task[0]))
         self.at_work.clear()
         self.close()
-        self.connect(_PATIENCE_S, f"was lost and did not come back in {_PATIENCE_S:g} s; what is done is kept")
+        kept = "what is done is kept, and --resume goes on from there"
+        self.connect(_PATIENCE_S, f"was lost and did not come back in {_PATIENCE_S:g} s; {kept}")
 
     def close(self) -> None:
         """Take back what is not done, and leave the cluster."""
         client, self.client = self.client, None
         if client is not None:
-            client.cancel(list(self.at_work))
+            with suppress(*_lost_connection()):
+                client.cancel(list(self.at_work))
             client.close(timeout=_CLOSE_S)
+
+
+def _lost_connection() -> tuple[type[Exception], ...]:
+    """Return the exceptions of a client whose scheduler is gone."""
+    from distributed.client import ClosedClientError, FutureCancelledError, FuturesCancelledError
+    from distributed.comm.core import CommClosedError
+
+    return ClosedClientError, CommClosedError, FutureCancelledError, FuturesCancelledError
 
 
 def _same(function: Callable[..., Any]) -> Callable[..., Any]:

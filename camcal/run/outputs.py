@@ -107,7 +107,7 @@ class Run:
     sources: the paths of what was read. planned: outputs, and the file that was in their place (None: none). intact:
     those of them that are as camcal left them. shortened: those that are shorter than that, and may be the beginning of
     it. made: what was written. results: those of a whole run, which are listed. found_before: images that an earlier
-    run has searched for this one.
+    run has searched for this one. elsewhere: how many fan-outs a cluster has not finished; its workers may still write.
     """
 
     def __init__(self) -> None:
@@ -127,6 +127,7 @@ class Run:
         self.made: dict[Path, Entry] = {}
         self.results: dict[Path, Entry] = {}
         self.found_before = 0
+        self.elsewhere = 0
         self._examined: set[Path] = set()
         self._unmade: set[Path] = set()
         self._lists: dict[Path, dict[str, Entry | None]] = {}
@@ -159,10 +160,8 @@ class Run:
             if not self.resume:  # where nothing is left to do, nothing is written
                 _require_writable(path / MANIFEST)
             return
-        if named:
-            self.plan_named(path)
-        else:
-            self.plan(path)
+        check = self.plan_named if named else self.plan
+        check(path)
 
     def plan_named(self, path: Path) -> None:
         """Check an output whose name the user chose; see `plan`."""
@@ -237,9 +236,7 @@ class Run:
 
     def reads(self, path: Path, file: os.stat_result) -> None:
         """Note a file that is read; raises InvalidInput if it is to be replaced."""
-        if not stat.S_ISREG(file.st_mode):
-            return
-        if _id(file) in self.written:
+        if not stat.S_ISREG(file.st_mode) or _id(file) in self.written:
             return
         self.read.add(_id(file))
         self.sources.add(path.absolute())
@@ -303,11 +300,13 @@ class Run:
         self._lists.clear()
         folders: dict[Path, tuple[dict[str, Entry | None], set[str]]] = {}
         for path in self.planned.keys() - self.unlisted:
+            if self.elsewhere and not path.exists():  # it stays listed, for it may still come
+                continue
             added, removed = folders.setdefault(path.parent, ({}, set()))
             if path in self.results:
                 added[path.name] = self.results[path]
             elif self._has_to_be_listed(path):
-                added[path.name] = self.made.get(path, self._entry(path))
+                added[path.name] = self.made.get(path) or self._entry_now(path)
             else:
                 removed.add(path.name)
         for folder, (added, removed) in folders.items():
@@ -323,8 +322,15 @@ class Run:
         found, before = _status(path), self.planned[path]
         if found is None or not stat.S_ISREG(found.st_mode):
             return False
-        kept = before is not None and (_id(found), found.st_mtime_ns) == (_id(before), before.st_mtime_ns)
-        return self._is_listed(path) if kept else path not in self.named or not says_camcal(path)
+        if _is_same(before, found):
+            return self._is_listed(path)
+        return path not in self.named or not says_camcal(path)
+
+    def _entry_now(self, path: Path) -> Entry | None:
+        """Return what is known of a file; one that another process has written for this run is read for it."""
+        known, now = self._entry(path), _status(path)
+        is_new = known is None and now is not None and not _is_same(self.planned[path], now)
+        return Entry.of(path) if is_new else known
 
 
 def says_camcal(path: Path) -> bool:
@@ -379,6 +385,10 @@ def _status(path: Path) -> os.stat_result | None:
         return None
     except OSError as error:
         raise FileError(f"cannot be written: {reason(error)}", where=str(path)) from error
+
+
+def _is_same(before: os.stat_result | None, now: os.stat_result) -> bool:
+    return before is not None and (_id(now), now.st_mtime_ns) == (_id(before), before.st_mtime_ns)
 
 
 def _id(file: os.stat_result) -> FileId:

@@ -10,7 +10,7 @@ import pytest
 from camcal import files
 from camcal.errors import FileError, InvalidInput
 from camcal.options import INPUT, OUTPUT, Argument, Option, OptionsRecord, Written
-from camcal.run import outputs
+from camcal.run import manifest, outputs
 from camcal.run.outputs import claim, says_camcal, writes
 from camcal.tasks.options import Overwrite
 
@@ -174,3 +174,20 @@ def test_a_suffix_and_a_content_that_contradict_each_other(tmp_path, suffix, con
     else:
         with pytest.raises(FileError, match=f"the suffix is {suffix} and the file {kind}; rename it"):
             files.require_content(path)
+
+
+def test_a_file_that_another_process_writes_for_a_run_is_listed_with_its_hash(tmp_path):
+    path = tmp_path / "a.png"
+    with outputs.watching():
+        claim([path])
+        path.write_bytes(b"result\n")
+    assert manifest.entries(tmp_path) == {"a.png": manifest.Entry.of(path)}
+
+
+@pytest.mark.parametrize("elsewhere", [0, 1])
+def test_a_file_that_a_cluster_may_still_write_stays_listed(tmp_path, elsewhere):
+    with outputs.watching() as run:
+        claim([tmp_path / "a.png", tmp_path / "b.png"])
+        files.write_bytes(tmp_path / "a.png", b"result\n")
+        run.elsewhere = elsewhere
+    assert listed(tmp_path) == ["a.png", "b.png"][: 1 + elsewhere]
