@@ -120,7 +120,7 @@ def _expand(text: str, recursive: bool, known: AbstractSet[str]) -> list[Path]:
         if path.exists():
             return [path]
     except OSError as error:  # such as a name that is too long
-        raise FileError(f"cannot be read: {error.strerror}", where=text) from error
+        raise FileError(f"cannot be read: {error.strerror}", where=str(error.filename or text)) from error
     if glob.has_magic(text):
         return _matching(text, known)
     raise FileError(_missing(path), where=text)

@@ -136,22 +136,24 @@ def test_a_video_that_cannot_be_read_leaves_nothing_behind(run, photos):
 
 
 @pytest.mark.skipif(not hasattr(os, "geteuid"), reason="users of POSIX systems")
-def test_a_folder_that_may_not_be_read_is_told(run, monkeypatch):
+@pytest.mark.parametrize(("closed", "more"), [("photos", []), ("photos/deep", ["--recursive", "--resume"])])
+def test_a_folder_that_may_not_be_read_is_told(run, monkeypatch, closed, more):
     superuser = os.geteuid() == 0
     with tempfile.TemporaryDirectory() as room:  # that of the tests is closed to other users
         monkeypatch.chdir(room)
         Path(room).chmod(0o777)
         save(Path("photos/good.png"), PICTURE)
+        save(Path("photos/deep/good.png"), PICTURE)
         run("detect", "photos", "-b", BOARD, "-o", "first.csv")  # imports what another user may not read
-        Path("photos").chmod(0)
+        Path(closed).chmod(0)
         if superuser:  # who may read every folder
             os.seteuid(65534)
         try:
-            code, _, err = run(*COMMANDS["detect"])
+            code, _, err = run(*COMMANDS["detect"], *more)
         finally:
             if superuser:
                 os.seteuid(0)
-            Path("photos").chmod(0o755)
+            Path(closed).chmod(0o755)
         monkeypatch.undo()
     assert code == 3
-    assert err == "camcal: error: photos: cannot be read: Permission denied\n"
+    assert err == f"camcal: error: {closed}: cannot be read: Permission denied\n"
