@@ -13,18 +13,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from room_scene import BESIDE, RoomRig
-
-from camcal.cameras.catalogue import model_named
-from camcal.cameras.model import Camera
-from camcal.formats import native
-from camcal.formats.camera_file import CameraEntry, CameraFile, Transform
-from camcal.geometry.pose import Pose
-from camcal.images.save import save
+from batch_scenes import BOARD, COMMANDS, SIMULATION, contents, draw_scene
 
 KILLS = int(os.environ.get("CAMCAL_KILLS", "3"))
-BOARD = "chessboard:6x5:25mm"
-TEMPORARY = ".camcal.part-"
 
 # Starts runs as copies of itself, for libraries are then imported once; one after another, from lines of JSON.
 SERVER = """
@@ -62,16 +53,7 @@ Run = Callable[..., tuple[int, float]]
 def scene(tmp_path_factory):
     """What the commands read: images, mosaics, unrectified pairs and their rig, and images of a board."""
     folder = tmp_path_factory.mktemp("scene")
-    rng = np.random.default_rng(4)
-    for number in range(12):
-        save(folder / "images" / f"{number}.png", rng.integers(0, 255, (120, 160), np.uint8))
-        save(folder / "mosaics" / f"{number}.pgm", rng.integers(0, 65000, (96, 128)).astype(np.uint16))
-    (folder / "rig").mkdir()
-    rig = RoomRig(folder / "rig", "pinhole", BESIDE)
-    for side in ("left", "right"):
-        (folder / side).mkdir()
-        for number in range(3):
-            shutil.copy(getattr(rig, side), folder / side / f"{number}.png")
+    draw_scene(folder)
     return folder
 
 
@@ -91,32 +73,9 @@ def run(start_python, scene, monkeypatch):
     server.stdin.close()
 
 
-def written(path):
-    """Write the file of two cameras that see a board together."""
-    cameras = [Camera(model_named("opencv4"), (320, 240), [280 + k, 281, 159, 119, -0.1, 0, 0, 0]) for k in range(2)]
-    transform = Transform(Pose.from_vector(np.array([0.02, -0.05, 0.01]), np.array([-0.06, 0.002, 0.001])))
-    entries = dict(zip(("left", "right"), map(CameraEntry, cameras), strict=True))
-    native.write(path, CameraFile(entries, transforms={"right_T_left": transform}))
-
-
-RIG = "rig/rig.yaml"
-COMMANDS = {
-    "undistort": ("undistort", f"{RIG}#left", "images", "-o", "out", "--mask"),
-    "demosaic": ("demosaic", "mosaics", "-o", "out", "--pattern", "RGGB", "--trust-pattern"),
-    "stereo rectify": ("stereo", "rectify", RIG, "left", "right", "-o", "out", "--maps"),
-    "stereo disparity": ("stereo", "disparity", "left", "right", RIG, "-o", "out", "--quality", "fast", "--vis"),
-    "stereo cloud": ("stereo", "cloud", "left", "right", RIG, "-o", "out", "--quality", "fast"),
-    "stereo run": ("stereo", "run", RIG, "left", "right", "-o", "out", "--quality", "fast"),
-    "detect": ("detect", "views/images/left", "--board", BOARD, "-o", "out/corners.csv", "--draw", "out/drawn"),
-    "calibrate": ("calibrate", "views/images/left", "--board", BOARD, "-o", "out/camera.yaml", "--model", "opencv4"),
-    "pnp": ("pnp", "views/truth.yaml#left", "views/images/left", "--board", BOARD, "-o", "out/poses.yaml"),
-    "rig": ("rig", "views/images", "--recursive", "--board", BOARD, "-o", "out/rig.yaml", "--model", "opencv4"),
-}
-
-
-def contents(folder=Path("out")):
-    """The files of a folder and of those below it, by their paths."""
-    return {path.as_posix(): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
+def modified():
+    """When each file of the output was changed."""
+    return {path: Path("out", path).stat().st_mtime_ns for path in contents()}
 
 
 def killed_and_resumed(run, arguments, kills):
@@ -140,9 +99,9 @@ def killed_and_resumed(run, arguments, kills):
 
 def test_undistort_killed_at_any_moment_is_completed_to_the_same_bytes(run):
     assert killed_and_resumed(run, COMMANDS["undistort"], 2) > 0
-    before = {path: Path(path).stat().st_mtime_ns for path in contents()}
+    before = modified()
     assert run(*COMMANDS["undistort"], "--resume")[0] == 0
-    assert {path: Path(path).stat().st_mtime_ns for path in contents()} == before
+    assert modified() == before
     assert "nothing to do: 12 images complete and unchanged" in Path("run.log").read_text()
 
 
@@ -150,10 +109,9 @@ def test_undistort_killed_at_any_moment_is_completed_to_the_same_bytes(run):
 @pytest.mark.parametrize("command", COMMANDS)
 def test_a_command_killed_at_any_moment_is_completed_to_the_same_bytes(run, command):
     if BOARD in COMMANDS[command] and not Path("views").exists():
-        written(Path("cameras.yaml"))
-        assert run("simulate", BOARD, "cameras.yaml", "-o", "views", "--views", 8, "--jobs", 1)[0] == 0
+        assert run(*SIMULATION)[0] == 0
     assert killed_and_resumed(run, COMMANDS[command], KILLS) > 0
-    before = {path: Path(path).stat().st_mtime_ns for path in contents()}
+    before = modified()
     assert run(*COMMANDS[command], "--resume")[0] == 0
-    assert {path: Path(path).stat().st_mtime_ns for path in contents()} == before
+    assert modified() == before
     assert "nothing to do" in Path("run.log").read_text()
