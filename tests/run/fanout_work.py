@@ -9,6 +9,7 @@ from pathlib import Path
 from camcal.errors import FileError
 
 HANG_S = 60.0  # longer than any test waits: only a stop ends it
+DEADLY = {"killed": signal.SIGKILL, "crashed": signal.SIGSEGV}
 
 
 def doubled(number: int) -> int:
@@ -35,16 +36,18 @@ def mistaken_beyond_pickling(number: int) -> int:
     raise Unreadable("lost", "property")
 
 
-def killed(number: int, signum: int = signal.SIGKILL) -> int:
+def killed(number: int) -> int:
     if number == 1:
-        os.kill(os.getpid(), signum)
+        os.kill(os.getpid(), signal.SIGKILL)
     return number
 
 
-def leaving(number: int) -> int:
-    if number == 1:
+def deadly(path: Path) -> str:
+    if path.stem == "left":
         sys.exit(3)
-    return number
+    if path.stem in DEADLY:
+        os.kill(os.getpid(), DEADLY[path.stem])
+    return path.stem
 
 
 def hanging(number: int) -> int:
@@ -96,10 +99,4 @@ def greedy(path: Path) -> int:
 
     if path.name == "b.png":
         np.empty(1 << 60, np.uint8)
-    return len(str(path))
-
-
-def killed_at(path: Path) -> int:
-    if path.name == "b.png":
-        os.kill(os.getpid(), signal.SIGKILL)
     return len(str(path))

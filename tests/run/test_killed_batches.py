@@ -19,12 +19,11 @@ KILLS = int(os.environ.get("CAMCAL_KILLS", "3"))
 
 # Starts runs as copies of itself, for libraries are then imported once; one after another, from lines of JSON.
 SERVER = """
-import json, os, signal, sys, time
+import importlib, json, os, signal, sys, time
 import cv2, numpy
-from camcal.cli import calibrate, poses, raw, rig, stereo, undistort
 from camcal.cli.main import app
-from camcal.tasks.calibration import calibrate, detect, undistort
-from camcal.tasks.stereo import clouds, stereo_disparity, stereo_run, rectify
+for module in sys.argv[1:]:
+    importlib.import_module(f"camcal.{module}")
 cv2.setNumThreads(1)
 for line in sys.stdin:
     arguments, seconds = json.loads(line)
@@ -46,6 +45,13 @@ for line in sys.stdin:
     print(json.dumps([os.waitstatus_to_exitcode(status), time.monotonic() - began]), flush=True)
 """
 
+UNDISTORT = ("cli.undistort", "tasks.calibration.undistort")
+OTHERS = (
+    *("cli.calibrate", "cli.poses", "cli.raw", "cli.rig", "cli.stereo", "tasks.calibration.calibrate"),
+    *("tasks.calibration.detect", "tasks.stereo.clouds", "tasks.stereo.stereo_disparity", "tasks.stereo.stereo_run"),
+    "tasks.stereo.rectify",
+)
+
 Run = Callable[..., tuple[int, float]]
 
 
@@ -58,10 +64,11 @@ def scene(tmp_path_factory):
 
 
 @pytest.fixture
-def run(start_python, scene, monkeypatch):
+def run(request, start_python, scene, monkeypatch):
     """Start a run of camcal in the folder of the scene; it is killed after some seconds, if these are given."""
     monkeypatch.chdir(scene)
-    server = start_python("-c", SERVER, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+    modules = (*UNDISTORT, *OTHERS) if request.node.get_closest_marker("slow") else UNDISTORT
+    server = start_python("-c", SERVER, *modules, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
 
     def call(*arguments, kill_after=None):
         server.stdin.write(json.dumps([list(map(str, arguments)), kill_after]) + "\n")

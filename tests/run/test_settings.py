@@ -69,6 +69,6 @@ def test_a_file_that_is_not_yaml_is_a_file_error(settings):
 
 @given(st.dictionaries(st.sampled_from(["jobs", "model"]), st.integers() | st.text("abc-_.:#", max_size=8)))
 def test_any_plain_text_or_number_survives(tmp_path_factory, values):
-    path = tmp_path_factory.mktemp("settings") / "s.yaml"
+    path = tmp_path_factory.getbasetemp() / "settings.yaml"
     path.write_text("{" + ", ".join(f"{key}: '{value}'" for key, value in values.items()) + "}")
     assert read_settings(path, OPTIONS).values == {key: str(value) for key, value in values.items()}
