@@ -182,7 +182,7 @@ def test_all_transforms_of_a_file_are_inverted_into_another(run, frames, tmp_pat
         (("invert", "{frames}", "-o", "out.png"), 2, "is not written; use .yaml"),
         (("invert", "{frames}", "--as", "quats"), 2, "form 'quats' is unknown"),
         (("invert", "1 0 0 0 0 1 0 0 0 0 -1 0"), 2, "det = -1, a reflection"),
-        (("invert", ""), 2, "'' is not a pose"),
+        (("invert", ""), 2, "an empty text; is a variable of the shell not set?"),
         (("invert", "a_T_b="), 2, "'a_T_b=' is not a pose"),
         (("invert", "Rz(1e99deg)"), 2, "more than 1e+06 rad is not a valid rotation"),
         (("invert", "0 0 0 0 1e99 0", "--form", "rvec"), 2, "more than 1e+06 rad is not a valid rotation"),

@@ -189,7 +189,7 @@ def test_a_connection_may_be_encrypted(tmp_path, monkeypatch):
 
 
 def test_a_scheduler_that_is_not_there_is_named(monkeypatch):
-    monkeypatch.setattr(cluster, "_CONNECT_S", 0.5)
+    monkeypatch.setattr(cluster, "_CONNECT_S", 0.1)
     with pytest.raises(FileError, match="the scheduler does not answer") as caught:
         list(fan_out(work.doubled, range(3), batch=BatchOptions(scheduler="dask://127.0.0.1:1")))
     assert caught.value.where == "dask://127.0.0.1:1"

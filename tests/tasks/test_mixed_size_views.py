@@ -76,7 +76,7 @@ def test_images_of_other_sizes_are_named_and_left_out():
     assert len(result.warnings) == 3
 
 
-@pytest.mark.parametrize("quarter", [CLOCKWISE, COUNTER_CLOCKWISE])
+@pytest.mark.parametrize("quarter", [CLOCKWISE, pytest.param(COUNTER_CLOCKWISE, marks=pytest.mark.slow)])
 def test_images_are_used_as_the_camera_saw_them(quarter):
     all_seen = seen()
     mixed = mixture(
