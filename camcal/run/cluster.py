@@ -73,14 +73,35 @@ def outcomes(
 
 
 def _dask_address(scheduler: str, jobs: int | None) -> str:
-    """Return the address of a scheduler as Dask has it."""
+    """Return the address of a scheduler as Dask has it; raises InvalidInput or FileError if it cannot be encrypted."""
+    import dask
+    from distributed.security import Security
+
+    security = Security()  # type: ignore[no-untyped-call]
+    protocol, _, place = scheduler.partition("://")
+    if scheduler == LOCAL:
+        scheme = "tls" if security.require_encryption else "tcp"
+    else:
+        scheme = protocol.removeprefix("dask").removeprefix("+")
+        scheme = scheme or dask.config.get("distributed.comm.default-scheme", "tcp")
+    if scheme == "tls":
+        _require_certificates(security, scheduler)
+    elif security.require_encryption:
+        raise InvalidInput("Dask's configuration requires encryption; use dask+tls://HOST:PORT", where=scheduler)
     if scheduler == LOCAL:
         return str(_local_cluster(jobs or available_cores()).scheduler_address)
-    import dask
+    return f"{scheme}://{place}"
 
-    protocol, _, place = scheduler.partition("://")
-    secure = protocol.removeprefix("dask").removeprefix("+")
-    return f"{secure or dask.config.get('distributed.comm.default-scheme', 'tcp')}://{place}"
+
+def _require_certificates(security: Any, scheduler: str) -> None:
+    """Raise InvalidInput or FileError if Dask's configuration names no certificates, or they cannot be read."""
+    try:
+        has_certificates = security.get_connection_args("client")["ssl_context"] is not None
+    except OSError as error:
+        text = f"the certificates of Dask's configuration cannot be read: {reason(error)}"
+        raise FileError(text, where=scheduler) from error
+    if not has_certificates:
+        raise InvalidInput("needs certificates: set distributed.comm.tls of Dask's configuration", where=scheduler)
 
 
 @cache

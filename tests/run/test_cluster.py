@@ -188,6 +188,31 @@ def test_a_connection_may_be_encrypted(tmp_path, monkeypatch):
     assert [each.value for each in found] == [0, 2, 4, 6, 8]
 
 
+@pytest.mark.parametrize(
+    ("settings", "scheduler", "error", "words"),
+    [
+        ({}, "dask+tls://127.0.0.1:1", InvalidInput, "needs certificates: set distributed.comm.tls"),
+        ({"default-scheme": "tls"}, "dask://127.0.0.1:1", InvalidInput, "needs certificates"),
+        ({"require-encryption": True}, "dask://127.0.0.1:1", InvalidInput, r"requires encryption; use dask\+tls://"),
+        ({"require-encryption": True}, "dask://local", InvalidInput, "needs certificates"),
+        (
+            dict.fromkeys(("tls.ca-file", "tls.client.cert", "tls.client.key"), "missing.pem"),
+            "dask+tls://127.0.0.1:1",
+            FileError,
+            "the certificates of Dask's configuration cannot be read: No such file",
+        ),
+    ],
+)
+def test_encryption_is_that_of_dasks_configuration(settings, scheduler, error, words):
+    import dask
+    import distributed  # noqa: F401 - its import adds to the configuration, which `set` would take back
+
+    given = dask.config.set({f"distributed.comm.{name}": value for name, value in settings.items()})
+    with given, pytest.raises(error, match=words) as caught:
+        list(fan_out(work.doubled, range(3), batch=BatchOptions(scheduler=scheduler)))
+    assert caught.value.where == scheduler
+
+
 def test_a_scheduler_that_is_not_there_is_named(monkeypatch):
     monkeypatch.setattr(cluster, "_CONNECT_S", 0.1)
     with pytest.raises(FileError, match="the scheduler does not answer") as caught:
