@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from camcal import urls
 from camcal.cli.steps import StepCommands, perform
 from camcal.errors import FileError
 from camcal.progress import SILENT
@@ -84,6 +85,22 @@ def test_steps_that_start_processes_of_their_own_run_here(pipeline, option):
 
     assert run(path, 2, noted).count(DONE) == 3
     assert processes == [os.getpid()] * 3
+
+
+def test_steps_that_name_urls_do_not_go_to_a_cluster_as_a_whole(pipeline):
+    pytest.importorskip("fsspec")
+    path = pipeline("here")
+    path.write_text(PIPELINE.replace("camera.yaml", f"file://{path.with_name('camera.yaml')}"))
+    processes = []
+
+    def noted(job, progress=SILENT):
+        processes.append(job.name)
+        return StepResult()
+
+    token = urls.REMOTE.set(None)
+    run(path, 2, noted, batch=BatchOptions(scheduler="dask://127.0.0.1:1"), only=("first",))
+    urls.REMOTE.reset(token)
+    assert processes == ["first[a]", "first[b]", "first[c]"]
 
 
 @pytest.mark.slow

@@ -234,10 +234,12 @@ class _PipelineRun:
         """Yield what comes of steps that do not need one another; due: their names, and why they run.
 
         If they keep more than half of the jobs busy, each has a process of its own; otherwise one comes after the
-        other and has all jobs. On a cluster each is a job.
+        other and has all jobs. On a cluster each is a job, unless it names URLs.
         """
         batch, count = self.options.batch, self.options.jobs or available_cores()
         shared = [name for name in due if not self.chosen[name].starts_processes]
+        if batch.scheduler is not None:
+            shared = [name for name in shared if not self.chosen[name].has_urls]
         if len(shared) < 2 or (batch.scheduler is None and 2 * len(shared) <= count):
             shared = []
         for name, reason in due.items():

@@ -56,6 +56,11 @@ class Step:
         return {path: each for each, value in self.given.items() for path in outputs_of(each, value)}
 
     @property
+    def has_urls(self) -> bool:
+        """Whether its options name URLs, of which another machine knows nothing but the files of an item."""
+        return any(urls.holder(path) is not None for path in (*self.inputs, *self.outputs))
+
+    @property
     def recursive(self) -> bool:
         """Whether folders are read recursively."""
         return any(each.key == "recursive" and value for each, value in self.given.items())
