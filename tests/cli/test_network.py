@@ -1,11 +1,13 @@
 """Commands open no network connection unless a URL is given: what Python does is watched in every process."""
 
+import json
 import os
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from batch_scenes import BOARD, COMMANDS, SIMULATION, draw_scene
 
 HOOK = """
 import os, sys
@@ -17,13 +19,29 @@ def watch(event, arguments):
             print(event, *arguments[1:], file=seen)
 sys.addaudithook(watch)
 """
-CAMCAL = "import sys; from camcal.cli.main import main; sys.argv[0] = 'camcal'; main()"
+CAMCAL = """
+import json, sys
+from camcal.cli.main import app
+for call in json.loads(sys.argv[1]):
+    try:
+        app(call)
+    except SystemExit as leaving:
+        if leaving.code:
+            raise
+"""
+PIPELINE = """\
+steps:
+  straight: {command: undistort, arguments: [rig/rig.yaml#left, images], output: straight}
+"""
 CALLS = (
-    "simulate chessboard:9x6:25mm -o scene --size 320x240 --views 8",
-    "detect scene/images -b chessboard:9x6:25mm -o corners.csv --timeout 60 -j 2",
-    "calibrate corners.csv -b chessboard:9x6:25mm -o camera.yaml --report report.html",
-    "undistort camera.yaml scene/images -o straight --resume",
-    "doctor",
+    SIMULATION,
+    *((*words, "--jobs", 1) for words in COMMANDS.values()),
+    (*COMMANDS["detect"], "--timeout", 60, "--jobs", 2),
+    (*COMMANDS["detect"], "--resume"),
+    ("calibrate", "out/corners.csv", "-b", BOARD, "-o", "camera.yaml", "--report", "report.html"),
+    ("stereo", "check", "left", "right"),
+    ("run", "pipeline.yaml"),
+    ("doctor",),
 )
 
 
@@ -53,7 +71,8 @@ def test_what_is_watched_would_be_seen(watched):
 
 
 @pytest.mark.slow
-def test_commands_open_no_connection(watched):
-    for call in CALLS:
-        code, seen = watched(CAMCAL, *call.split())
-        assert (code, seen) == (0, []), call
+def test_commands_open_no_connection(watched, tmp_path):
+    draw_scene(tmp_path)
+    (tmp_path / "pipeline.yaml").write_text(PIPELINE)
+    calls = [list(map(str, words)) for words in CALLS]
+    assert watched(CAMCAL, json.dumps(calls)) == (0, [])

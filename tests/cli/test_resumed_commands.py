@@ -2,14 +2,17 @@
 
 import json
 import os
+import shutil
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from batch_scenes import COMMANDS, SIMULATION, contents, draw_scene
 from room_scene import BESIDE, RoomRig
 
 from camcal.run.outputs import listed
+from camcal.tasks.calibration import corner_refinement
 
 
 @pytest.fixture
@@ -106,3 +109,27 @@ def test_worker_processes_record_what_they_write(run, tmp_path, rig):
     (tmp_path / "maps" / "1.tiff.sigma.tiff").unlink()
     assert json.loads(run(*command, "--json")[1])["reused"] == 1
     assert "1.tiff.sigma.tiff" in listed(tmp_path / "maps")
+
+
+@pytest.mark.slow
+def test_a_calibration_that_ends_while_it_refines_corners_does_not_search_the_images_again(run, tmp_path, monkeypatch):
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.chdir(tmp_path)
+    draw_scene(tmp_path)
+    assert run(*SIMULATION)[0] == 0
+    for name, count in (("calibrate", 8), ("rig", 16)):
+        command = (*COMMANDS[name], "--jobs", 1, "--json")
+        assert run(*command)[0] == 0
+        whole = contents()
+        shutil.rmtree("out")
+        with monkeypatch.context() as patch:
+            patch.setattr(corner_refinement, "fan_out", interrupted)
+            assert run(*command)[0] == 130
+        assert [path.endswith(".camcal-journal") for path in contents()] == [True]
+        code, out, _ = run(*command, "--resume")
+        assert (code, json.loads(out)["reused"]) == (0, count)
+        Path("out/.camcal-output").unlink()  # which only a run with --resume keeps beside a file that says camcal
+        assert contents() == whole
+        shutil.rmtree("out")

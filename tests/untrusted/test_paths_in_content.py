@@ -58,10 +58,22 @@ def detections(names):
 def test_names_of_images_in_detections_do_not_lead_out(lab):
     (lab / "in").mkdir()
     (lab / "in" / "corners.csv").write_text(detections(NAMES))
+    for name in NAMES[:5]:
+        save(lab / name, np.full((480, 640), 128, np.uint8))
     before = set(strays(lab))
     codes = [
         run("calibrate", "in/corners.csv", "-b", "chessboard:9x6:25mm", "-o", "out/c.yaml", "--figures", "out/figures"),
-        run("pnp", "camera.yaml", "in/corners.csv", "-b", "chessboard:9x6:25mm", "-o", "out/p.csv"),
+        run(
+            "pnp",
+            "camera.yaml",
+            "in/corners.csv",
+            "-b",
+            "chessboard:9x6:25mm",
+            "-o",
+            "out/p.csv",
+            "--draw",
+            "out/drawn",
+        ),
         run("plot", "in/corners.csv", "-o", "out/plots"),
     ]
     assert codes == [0, 0, 0]
@@ -96,6 +108,21 @@ def test_a_list_of_outputs_does_not_lead_out(lab):
     (lab / "out" / ".camcal-output").write_text("../../kept.png\n" + "0" * 64 + "\t4\t\t\t../../kept.png\n")
     run("undistort", "camera.yaml", "photos", "-o", "out", "--resume")
     assert (lab.parent / "kept.png").read_bytes() == b"kept"
+
+
+def test_names_of_images_in_a_journal_do_not_lead_out(lab):
+    board = np.kron(np.indices((6, 8)).sum(axis=0) % 2, np.ones((16, 16))).astype(np.uint8) * 160 + 40
+    save(lab / "photos" / "1.png", np.pad(board, 16, constant_values=200))
+    (lab / "photos" / "2.png").touch()
+    save(lab.parents[1] / "stray" / "1.png", np.pad(board, 16, constant_values=200))
+    command = ("detect", "photos", "-b", "chessboard:7x5:25mm", "-o", "out/corners.csv", "-j", 1)
+    assert run(*command) == 6
+    journal = lab / "out" / ".corners.csv.camcal-journal"
+    journal.write_text(journal.read_text().replace("photos/1.png", "../../stray/1.png"))
+    before = {path for path in strays(lab) if lab / "out" not in path.parents}
+    assert run(*command, "--resume", "--draw", "out/drawn") == 6
+    assert len(list((lab / "out" / "drawn").glob("*.png"))) == 1
+    assert {path for path in strays(lab) if lab / "out" not in path.parents} == before
 
 
 def test_a_covariance_beside_a_camera_file_has_a_bare_name(lab, capsys):
