@@ -53,6 +53,12 @@ def _write_cameras(path: Path) -> None:
     native.write(path, CameraFile(entries, transforms={"right_T_left": transform}))
 
 
+def recorded(folder: Path = Path("out")) -> int:
+    """Return how many items of a folder of outputs are recorded as complete."""
+    made = folder / ".camcal-output"
+    return made.read_bytes().count(b'{"files"') if made.exists() else 0
+
+
 def contents(folder: Path = Path("out")) -> dict[str, bytes]:
     """Return the files of a folder and of those below it by their paths in it."""
     found = sorted(path for path in folder.rglob("*") if path.is_file())

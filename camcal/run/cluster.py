@@ -116,6 +116,7 @@ def _local_cluster(workers: int) -> Any:
             threads_per_worker=1,
             memory_limit=0,
             dashboard_address=None,
+            scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},  # of its HTTP pages; else port 8787, or a warning
             silence_logs=logging.CRITICAL,
         )
 

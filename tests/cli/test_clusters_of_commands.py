@@ -12,7 +12,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from batch_scenes import BOARD, COMMANDS, RIG, SIMULATION, contents, draw_scene
+from batch_scenes import BOARD, COMMANDS, RIG, SIMULATION, contents, draw_scene, recorded
 from dask_cluster import dask_cluster, wait_until
 
 CAMCAL = "import sys; from camcal.cli.main import main; sys.argv[0] = 'camcal'; main()"
@@ -61,12 +61,6 @@ def test_results_on_a_cluster_are_the_same_bytes(run, place, name):
     code, _, err = run(*words, "--scheduler", place.url)
     assert code == 0, err
     assert contents() == here
-
-
-def recorded():
-    """How many items of the output are recorded as complete."""
-    found = Path("out/.camcal-output")
-    return found.read_bytes().count(b'{"files"') if found.exists() else 0
 
 
 @pytest.mark.slow

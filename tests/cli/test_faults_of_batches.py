@@ -29,6 +29,7 @@ from camcal.tasks.options import GivenCamera
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
+from batch_scenes import recorded
 from dask_cluster import dask_cluster, wait_until
 
 CAMCAL = "import sys; from camcal.cli.main import main; sys.argv[0] = 'camcal'; main()"
@@ -245,10 +246,6 @@ def test_a_run_whose_scheduler_was_lost_is_resumed_to_the_same_bytes(run, folder
     for number in range(300):
         put(f"{number}.png", PICTURE)
     words = COMMANDS["undistort"]
-
-    def recorded():
-        made = Path("out/.camcal-output")
-        return made.read_bytes().count(b'{"files"') if made.exists() else 0
 
     with dask_cluster(folder) as running:
 

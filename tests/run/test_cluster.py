@@ -213,6 +213,15 @@ def test_encryption_is_that_of_dasks_configuration(settings, scheduler, error, w
     assert caught.value.where == scheduler
 
 
+@pytest.mark.slow
+def test_a_cluster_of_this_machine_listens_on_it_only_and_at_no_fixed_port():
+    started = cluster._local_cluster.__wrapped__(1)
+    pages = started.scheduler.http_server
+    assert (pages.address, pages.port != 8787) == ("127.0.0.1", True)
+    assert started.scheduler_address.startswith("tcp://127.0.0.1:")
+    started.close()
+
+
 def test_a_scheduler_that_is_not_there_is_named(monkeypatch):
     monkeypatch.setattr(cluster, "_CONNECT_S", 0.1)
     with pytest.raises(FileError, match="the scheduler does not answer") as caught:
