@@ -72,14 +72,14 @@ def watching(read: Iterable[Path] = ()) -> Iterator["Run"]:
             run.close()
 
 
-def claim(outputs: Iterable[Path]) -> None:
+def claim(outputs: Iterable[Path], *, elsewhere: bool = False) -> None:
     """Raise InvalidInput or FileError, before the work, if one of these outputs must not or cannot be written.
 
-    They are listed in their folders from now on.
+    They are listed in their folders from now on; a resumed run lists new ones only if other processes write them.
     """
     run = files.LEDGER.get()
     if isinstance(run, Run):
-        run.claim(outputs)
+        run.claim(outputs, elsewhere=elsewhere)
 
 
 @contextmanager
@@ -168,13 +168,13 @@ class Run:
         self.named.add(path.absolute())
         self.plan(path)
 
-    def claim(self, outputs: Iterable[Path]) -> None:
+    def claim(self, outputs: Iterable[Path], *, elsewhere: bool) -> None:
         """Check outputs and list them in their folders; see the function of this name."""
         paths = [path for path in outputs if str(path) != STANDARD]
         self._examine(paths)
         for path in paths:
             self.plan(path)
-        self._list([path for path in paths if path.absolute() not in self.unlisted])
+        self._list([path for path in paths if path.absolute() not in self.unlisted], elsewhere)
 
     def plan(self, path: Path) -> None:
         """Check an output; raises InvalidInput or FileError if it must not or cannot be written."""
@@ -263,7 +263,7 @@ class Run:
         """Note a file that was written."""
         self.written.add(_id(file))
 
-    def _list(self, paths: Sequence[Path]) -> None:
+    def _list(self, paths: Sequence[Path], elsewhere: bool) -> None:
         """List outputs in their folders before they are written, so that a killed run leaves none unlisted.
 
         What is known of their contents is left out until they are written, or kept if they may stay as they are. A
@@ -272,7 +272,7 @@ class Run:
         folders: dict[Path, dict[str, Entry | None]] = {}
         for path in paths:
             place = path.absolute()
-            if self.planned[place] is None and self.resume:
+            if self.planned[place] is None and self.resume and not elsewhere:
                 self._unmade.add(place)
             elif self.planned[place] is None or self._is_listed(path):  # others' files are not before they are replaced
                 stays = place in self.shortened or (self.resume and place in self.intact)

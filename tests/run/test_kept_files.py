@@ -184,6 +184,14 @@ def test_a_file_that_another_process_writes_for_a_run_is_listed_with_its_hash(tm
     assert manifest.entries(tmp_path) == {"a.png": manifest.Entry.of(path)}
 
 
+@pytest.mark.parametrize("elsewhere", [False, True])
+def test_what_other_processes_write_for_a_resumed_run_is_listed_before(tmp_path, elsewhere):
+    with outputs.watching() as run:
+        run.resume = True
+        claim([tmp_path / "a.png"], elsewhere=elsewhere)
+        assert listed(tmp_path) == ["a.png"][:elsewhere]
+
+
 @pytest.mark.parametrize("elsewhere", [0, 1])
 def test_a_file_that_a_cluster_may_still_write_stays_listed(tmp_path, elsewhere):
     with outputs.watching() as run:

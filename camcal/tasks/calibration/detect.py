@@ -203,7 +203,7 @@ def _require_outputs(options: DetectOptions, media: Media) -> None:
         names = [path.as_posix() for path in media.images]
         if names_file(options.draw, KINDS):
             _require_one_image(options.draw, media)
-        claim(pictures(names, options.draw).values())
+        claim(pictures(names, options.draw).values(), elsewhere=True)
 
 
 def _require_one_image(output: Path, media: Media) -> None:

@@ -254,13 +254,14 @@ def sheets(objects: Mapping[tuple[str, str | None], Sequence[Posed]], output: Pa
     """
     if names_file(output, KINDS):
         require_one(output, len(objects))
+        claim([output], elsewhere=True)
         return [Sheet(key[0], output, tuple(posed)) for key, posed in objects.items()]
     names = {key: f"{key[1]}_{Path(key[0]).stem}" if key[1] else Path(key[0]).stem for key in objects}
     if len(set(names.values())) < len(names):  # of several folders
         names = {key: f"{Path(key[0]).parent.name}_{name}" for key, name in names.items()}
     outputs = {key: output / f"{name}{_SUFFIX}" for key, name in names.items()}
     refuse_collisions({Path(image): outputs[image, camera] for image, camera in objects})
-    claim(outputs.values())
+    claim(outputs.values(), elsewhere=True)
     return [Sheet(key[0], outputs[key], tuple(posed)) for key, posed in objects.items()]
 
 
