@@ -378,9 +378,10 @@ def sha256(path: Path) -> str:
 
 
 def natural_key(name: str) -> tuple[tuple[int, int, str], ...]:
-    """Return a sort key that puts image2 before image10."""
-    return tuple(
+    """Return a sort key that puts image2 before image10; no two names have the same one."""
+    parts = (
         (0, len(part.lstrip("0")), part.lstrip("0")) if part.isdigit() and part.isascii() else (1, 0, part.casefold())
         for part in re.split(r"([0-9]+)", name)
         if part
     )
+    return *parts, (-1, 0, name)

@@ -70,9 +70,7 @@ def change(folder: Path, added: Entries, removed: AbstractSet[str] = frozenset()
         known = dict(_parsed(text)) | {in_one_line(name): entry for name, entry in added.items()}
         for name in removed:
             known.pop(in_one_line(name), None)
-        lines = "".join(
-            _line(name, known[name]) for name in sorted(known, key=lambda each: (files.natural_key(each), each))
-        )
+        lines = "".join(_line(name, known[name]) for name in sorted(known, key=files.natural_key))
         if lines and lines != text:
             files.write_bytes(folder / MANIFEST, os.fsencode(lines))  # a file name need not be UTF-8
         elif not lines:

@@ -50,9 +50,16 @@ def find_media(inputs: Sequence[Path | str], recursive: bool = False, also: Abst
     if not inputs:
         raise InvalidInput("no images given; name files, a folder or a quoted pattern such as 'photos/*.jpg'")
     known = IMAGE_SUFFIXES | VIDEO_SUFFIXES | also
-    expanded = (_expand(str(text), recursive, known) for text in reversed(inputs))
-    found = {path.resolve(): path for paths in expanded for path in reversed(paths)}
-    paths = sorted(found.values(), key=_natural_path)
+    given: dict[Path, int] = {}
+    for place, text in enumerate(inputs):
+        for path in _expand(str(text), recursive, known):
+            given.setdefault(path, place)
+    ordered = sorted(given, key=_natural_path)
+    first: dict[Path, Path] = {}  # names of files, by what they are: the first name in the first input that has one
+    for path in sorted(ordered, key=given.__getitem__):
+        first.setdefault(path.resolve(), path)
+    chosen = set(first.values())
+    paths = [path for path in ordered if path in chosen]
     for path in paths:
         files.note_read(path)
     return Media(
@@ -189,7 +196,7 @@ def _missing(path: Path) -> str:
 
 
 def _natural_path(path: Path) -> tuple[object, ...]:
-    return tuple(files.natural_key(part) for part in path.parts), str(path)
+    return tuple(files.natural_key(part) for part in path.parts)
 
 
 def find_pairs(

@@ -62,6 +62,26 @@ def test_an_image_named_twice_counts_once_under_its_first_name(folder):
     ]
 
 
+def test_of_several_links_to_an_image_the_first_name_counts_in_whatever_order_a_folder_lists_them(folder, monkeypatch):
+    fill(folder, "z.png")
+    for name in ("b.png", "a10.png", "a9.png"):
+        (folder / name).symlink_to("z.png")
+    listing = list(folder.iterdir())
+    for order in (listing, listing[::-1]):
+        monkeypatch.setattr(Path, "iterdir", lambda _, order=order: iter(order))
+        assert names(find_images([folder])) == ["photos/a9.png"]
+        assert names(find_images([folder / "b.png", folder])) == ["photos/b.png"]
+
+
+def test_names_of_one_number_have_one_order_too(folder, monkeypatch):
+    fill(folder, "a1.png", "a01.png", "A1.png", "a2.png", "a.png")
+    listing = list(folder.iterdir())
+    for order in (listing, listing[::-1]):
+        monkeypatch.setattr(Path, "iterdir", lambda _, order=order: iter(order))
+        found = [path.name for path in find_images([folder])]
+        assert found == ["A1.png", "a01.png", "a1.png", "a2.png", "a.png"]
+
+
 def test_videos_are_listed_apart(folder):
     fill(folder, "a.png", "clip.MP4")
     media = find_media([folder])
