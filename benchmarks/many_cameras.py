@@ -1,10 +1,10 @@
-"""The night run of a factory: many cameras of many corners through `camcal run` on a Dask cluster of this machine.
+"""Many cameras of many corners through `camcal run` on a Dask cluster of this machine, as in a factory each night.
 
 Each camera has a lens, poses and noise of its own. Of every 25 cameras one saw the board in one place only, and cannot
 be calibrated, and one has corners that are off by most of a pixel, and an uncertainty above the limit. `camcal run`
-calibrates all of them on a scheduler with worker processes; then every camera is calibrated alone by
+calibrates all of them on a Dask cluster of worker processes; then every camera is calibrated alone by
 `camcal calibrate`, and the files are compared: all but the lines that say when, and from which call. MB: the greatest
-proportional set size of the command and the cluster together.
+proportional set size of all processes of the command together.
 
     python benchmarks/many_cameras.py [--cameras 100] [--corners 100000] [--workers 4] [--folder FOLDER]
 """
@@ -32,7 +32,6 @@ from camcal.run.process import available_cores
 from camcal.targets.board import Board
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
-from dask_cluster import dask_cluster
 from rig_scenes import Errors, SimulatedRig, Transform, narrow_lens, observed, scene
 
 BOARD = Board("chessboard", 24, 17, 0.02)
@@ -74,15 +73,12 @@ def measure(folder: Path, arguments: argparse.Namespace) -> int:
         make(path, number, arguments.corners)
     (folder / "night.yaml").write_text(PIPELINE)
     print(f"{available_cores()} cores; {arguments.cameras} cameras of {arguments.corners} corners")
-    with dask_cluster(folder, workers=arguments.workers) as cluster:
-        words = ["run", "night.yaml", "--scheduler", cluster.url]
-        seconds, ended, memory = watched(folder, words, [own.pid for own in cluster.processes.values()])
-        print(
-            f"camcal run, {arguments.workers} workers: exit {ended.returncode}, {seconds:.0f} s, {memory / 1e6:.0f} MB"
-        )
-        print("\n".join(ended.stdout.splitlines()[:SHOWN]))
-        seconds, ended, _ = watched(folder, words, [])
-        print(f"once more: exit {ended.returncode}, {seconds:.1f} s; {ended.stdout.splitlines()[-1]}")
+    words = ["run", "night.yaml", "--scheduler", "dask://local", "--jobs", str(arguments.workers)]
+    seconds, ended, memory = watched(folder, words)
+    print(f"camcal run, {arguments.workers} workers: exit {ended.returncode}, {seconds:.0f} s, {memory / 1e6:.0f} MB")
+    print("\n".join(ended.stdout.splitlines()[:SHOWN]))
+    seconds, ended, _ = watched(folder, words)
+    print(f"once more: exit {ended.returncode}, {seconds:.1f} s; {ended.stdout.splitlines()[-1]}")
     start = time.monotonic()
     with ThreadPoolExecutor(available_cores()) as pool:
         codes = list(pool.map(alone, paths))
@@ -107,15 +103,15 @@ def make(path: Path, camera: int, corners: int) -> None:
     detections.write(path, Detections(BOARD, tuple(views[:enough])))
 
 
-def watched(folder: Path, words: list[str], groups: list[int]) -> tuple[float, CompletedProcess[str], int]:
-    """Return the seconds of a command, how it ended, and the greatest memory in bytes, with that of process groups."""
+def watched(folder: Path, words: list[str]) -> tuple[float, CompletedProcess[str], int]:
+    """Return the seconds of a command, how it ended, and the greatest memory in bytes."""
     start, memory = time.monotonic(), 0
     with (folder / "stdout").open("w+") as stdout:
         process = subprocess.Popen(
             [*COMMAND, *words], cwd=folder, stdout=stdout, stderr=DEVNULL, start_new_session=True
         )
         while process.poll() is None:
-            memory = max(memory, sum(map(memory_of_group, [process.pid, *groups])))
+            memory = max(memory, memory_of_group(process.pid))
             time.sleep(_EVERY)
         stdout.seek(0)
         ended = CompletedProcess(words, process.returncode, stdout.read())
