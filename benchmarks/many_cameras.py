@@ -40,7 +40,7 @@ NOISE = 0.1  # px
 HERE, BENT = Transform.of([0, 0, 0], [0, 0, 0]), (3e-4, -2e-4)
 EVERY, ONE_PLACE, LOOSE = 25, 7, 19  # of so many cameras, those that are shown the board badly
 UNSTEADY = 0.7  # px
-LIMIT, SHOWN = "0.05", 16  # px of the uncertainty; lines of the summary
+LIMIT, SHOWN = "0.05", 10  # px of the uncertainty; lines of the summary
 _EVERY = 0.5  # s
 PIPELINE = f"""\
 lists:
@@ -76,9 +76,10 @@ def measure(folder: Path, arguments: argparse.Namespace) -> int:
     words = ["run", "night.yaml", "--scheduler", "dask://local", "--jobs", str(arguments.workers)]
     seconds, ended, memory = watched(folder, words)
     print(f"camcal run, {arguments.workers} workers: exit {ended.returncode}, {seconds:.0f} s, {memory / 1e6:.0f} MB")
-    print("\n".join(ended.stdout.splitlines()[:SHOWN]))
     seconds, ended, _ = watched(folder, words)
-    print(f"once more: exit {ended.returncode}, {seconds:.1f} s; {ended.stdout.splitlines()[-1]}")
+    print(f"once more: exit {ended.returncode}, {seconds:.0f} s")
+    lines = ended.stdout.splitlines()
+    print("\n".join([line for line in lines if line.startswith("  calibrate[")][:SHOWN] + lines[-1:]))
     start = time.monotonic()
     with ThreadPoolExecutor(available_cores()) as pool:
         codes = list(pool.map(alone, paths))
