@@ -18,7 +18,8 @@ from camcal.calibrate.initialise import (
     sweep_focal,
     thinned,
 )
-from camcal.calibrate.jackknife import averaged, covariance_of, image_metric, influence, weights_of
+from camcal.calibrate.influence import influence
+from camcal.calibrate.jackknife import averaged, covariance_of, image_metric, weights_of
 from camcal.calibrate.noise import CUT, REJECTED, robust_sigma
 from camcal.calibrate.problem import BoardProblem, State
 from camcal.calibrate.shape import odd_terms

@@ -16,24 +16,18 @@ cost much, but no more than an outlier does.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
 
 import numpy as np
 from scipy.optimize import minimize_scalar, nnls
 
 from camcal.arrays import Array, FloatArray
-from camcal.calibrate.effects import Posterior
 from camcal.calibrate.estimator import Estimate
+from camcal.calibrate.influence import Solution, influence
 from camcal.calibrate.problem import State
 from camcal.geometry import rotation as so3
-from camcal.solve.steps import Factors
 
 _FINEST, _HEAVY = 1e-9, 1e3  # of the spread's trace and its root: that weights are determined, that they sum to one
 _ALIKE = 10.0  # views that count for estimates of equal scatter
-_LARGEST = 0.99  # leverage of a view: what it alone determines cannot be distinguished from the others
-# Times the variance that equal views would have, at most: CR3 has 1 / (1 - leverage), which grows without end where one
-# view determines something all but alone.
-_SAFETY = 3.0
 _FEW = 7.0  # views that hardly show what errors they share
 
 _DOF = 4.0  # of the Student distribution
@@ -44,47 +38,6 @@ _LEAST_SIGMA, _MOST_SIGMA = 1e-4, 20.0  # px
 # edge of the image costs its few corners there no more.
 GAIN = 0.10
 _MUCH, _LITTLE = ((GAIN, 1.5), (0.02, 2.5)), ((0.005, 1.5),)
-
-
-class Solution(Protocol):
-    """An estimate, of one camera or of several, as far as averages ask for it."""
-
-    @property
-    def problem(self) -> "SharedParameters": ...
-    @property
-    def state(self) -> Any: ...
-    @property
-    def factors(self) -> Factors: ...
-    @property
-    def posterior(self) -> Posterior: ...
-
-
-class SharedParameters(Protocol):
-    """A problem whose views share parameters (D,) of known precision (D, D) before the data."""
-
-    def shared_values(self, state: Any, /) -> Array: ...
-    def prior_precision(self) -> Array: ...
-
-
-def influence(estimate: Solution) -> Array:
-    """Return the changes (G, D) of the parameters that all views share, lens and terms of the board's shape, when each
-    of the views is left out, in one step from the last linear solve; scaled so that their squares add up to CR3.
-    """
-    factors, covariance = estimate.factors, estimate.posterior.shared
-    dense, root = len(covariance), np.linalg.cholesky(covariance)
-    scores, information = factors.group_scores(), factors.group_information()
-    matrix = factors.shared_root @ factors.shared_root.T
-    if len(matrix) > dense:  # offsets of single points follow
-        follow = np.linalg.solve(matrix[dense:, dense:], matrix[dense:, :dense])
-        scores = scores[:, :dense] - scores[:, dense:] @ follow
-        # what the offsets take of the information is taken from that of all views alike
-        turn = np.linalg.inv(np.linalg.cholesky(matrix[:dense, :dense]) @ root.T)
-        information = turn @ information @ turn.T
-    values, vectors = np.linalg.eigh(root.T @ information @ root)
-    left = 1 - np.clip(values, 0, _LARGEST)
-    pulls = np.einsum("gki,gk->gi", vectors, scores @ root) / np.maximum(left, np.sqrt(left / _SAFETY))
-    count = len(scores)
-    return np.asarray(np.sqrt((count - 1) / count) * np.einsum("gki,gi->gk", vectors, pulls) @ root.T)
 
 
 def image_metric(displacements: Array) -> Array:
