@@ -32,6 +32,8 @@ class Solution(Protocol):
     @property
     def factors(self) -> Factors: ...
     @property
+    def linearised(self) -> Any: ...
+    @property
     def posterior(self) -> Posterior: ...
 
 
@@ -65,10 +67,12 @@ def influence(estimate: Solution) -> Array:
 def _without_each(estimate: Solution) -> tuple[Array, Array]:
     """Return the information (G, D, D) on the shared parameters without each of the views, and the gradients (G, D)
     that it stands against, single points of the board eliminated from both.
+
+    Observations and factors have to be of one state: parts of views are small differences of large products.
     """
     factors, dense = estimate.factors, len(estimate.posterior.shared)
     matrix, scores = factors.shared_root @ factors.shared_root.T, factors.group_scores()
-    blocks, size = estimate.problem.observed(estimate.state), len(matrix)
+    blocks, size = estimate.problem.observed(estimate.linearised), len(matrix)
     kept, pulls = np.empty((len(scores), dense, dense)), np.empty((len(scores), dense))
     step = max(_MEMORY // (8 * size**2), 1)
     for start in range(0, len(scores), step):

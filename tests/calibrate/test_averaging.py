@@ -85,7 +85,7 @@ class Linear:
         factors = self.factors(observed, at=self.factors(observed).solve())
         problem = SimpleNamespace(observed=lambda residuals: [self.block(residuals)])
         return SimpleNamespace(
-            problem=problem, state=np.zeros((VIEWS, ROWS, 2)), factors=factors, posterior=posterior(factors)
+            problem=problem, linearised=np.zeros((VIEWS, ROWS, 2)), factors=factors, posterior=posterior(factors)
         )
 
 
