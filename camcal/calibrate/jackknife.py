@@ -96,16 +96,16 @@ def covariance_of(
     metric: Array,
     weights: Array,
     evidence: float = 1.0,
-    blocks: Sequence[slice] = (slice(None),),
+    blocks: Sequence[slice] = (),
     products: Array | None = None,
 ) -> Array:
     """Return the covariance (D, D) of the weighted parameters, lens and terms of the board's shape.
 
     Its scale over the image is that of the scatter from view to view and of the estimates about their mean, no less
-    than the estimates claim; blocks: of the metric's parameters, each with a scale of its own; products: as of
-    `weights_of`. Its shape is that of the same scatter, which G views determine in as many directions only, drawn
-    towards the claimed one as by D further views. Without evidence for errors within views, the claimed one is right
-    and CR3 too large, unless the views are too few to show such errors.
+    than the estimates claim. Its shape is that of the same scatter, which G views determine in as many directions only,
+    drawn towards the claimed one as by D further views. blocks: of the metric's parameters, each with a scale of its
+    own, drawn as by as many further views as it has parameters. products: as of `weights_of`. Without evidence for
+    errors within views, the claimed one is right and CR3 too large, unless the views are too few to show such errors.
     """
     claimed = np.tensordot(weights, np.stack([own.posterior.shared for own in estimates]), axes=1)
     others = _weights_of_others(left_out, metric, evidence, products)
@@ -118,11 +118,12 @@ def covariance_of(
         )
         return scatter_px / claimed_px
 
-    ratios = np.full(size, ratio(slice(None)))
+    ratios, further = np.full(size, ratio(slice(None))), np.full(size, float(size))
     for chosen in blocks:
-        ratios[:lens][chosen] = ratio(chosen)
+        ratios[chosen], further[chosen] = ratio(chosen), chosen.stop - chosen.start
     scale = np.sqrt(ratios)
-    mixed = (views * scatter + size * np.outer(scale, scale) * claimed) / (views + size)
+    of_scatter, of_claimed = np.sqrt(views / (views + further)), scale * np.sqrt(further / (views + further))
+    mixed = np.outer(of_scatter, of_scatter) * scatter + np.outer(of_claimed, of_claimed) * claimed
     least = np.maximum(1 / scale, 1.0)
     mixed *= np.outer(least, least)
     doubted = evidence + (1 - evidence) * min((_FEW / views) ** 2, 1.0)

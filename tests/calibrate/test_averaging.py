@@ -335,7 +335,7 @@ def test_the_covariance_moves_the_image_as_the_scatter_does_and_no_less_than_is_
     np.testing.assert_allclose(found, found.T, rtol=1e-12)
 
 
-def test_blocks_of_the_covariance_have_the_scale_of_their_own_scatter():
+def test_blocks_of_the_covariance_have_the_scale_and_as_far_as_views_show_it_the_shape_of_their_own_scatter():
     rng = np.random.default_rng(22)
     metric, (moved,) = np.eye(LENS), drawn(rng, 1.0, views=8)
     blocks = slice(0, 1), slice(1, LENS)
@@ -347,6 +347,9 @@ def test_blocks_of_the_covariance_have_the_scale_of_their_own_scatter():
     for block in blocks:
         own = np.trace(scatter[block, block])
         assert np.trace(found[block, block]) == pytest.approx(max(own, np.trace(claimed[block, block])), rel=1e-9)
+        count, alike = block.stop - block.start, claimed[block, block] / np.trace(claimed[block, block])
+        drawn_to = (8 * scatter[block, block] / own + count * alike) / (8 + count)
+        np.testing.assert_allclose(found[block, block] / np.trace(found[block, block]), drawn_to, rtol=1e-9)
     assert found[0, 0] > whole[0, 0], "one scale for all takes from what scatters more"
     assert np.linalg.eigvalsh(found).min() > 0
 
