@@ -8,6 +8,7 @@ ignored. When it is over, the lines are those of the files in natural order: not
 
 import os
 import re
+import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from contextlib import contextmanager
@@ -126,7 +127,7 @@ def _parsed(text: str) -> Iterable[tuple[str, Entry | None]]:
     for line in text.split("\n")[:-1]:
         if found := _LINE.fullmatch(line):
             sha256, size, made_from, result, name = found.groups()
-            yield name, Entry(sha256, int(size), made_from, result)
+            yield name, Entry(sha256, int(size), made_from, sys.intern(result))  # most items of a run have the same
         elif line:
             yield line, None
 

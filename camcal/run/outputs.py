@@ -35,6 +35,7 @@ _MARK = re.compile(rb'\A(?:%YAML[^\n]*\n---\n)?# (?:[^\n]*\b)?camcal\b|"(?:forma
 P = ParamSpec("P")
 R = TypeVar("R")
 FileId = tuple[int, int]
+FileVersion = tuple[FileId, int]  # with the time of its last change, ns
 
 
 def writes(task: Callable[P, R]) -> Callable[P, R]:
@@ -104,8 +105,8 @@ class Run:
     """The account of a run, which its threads share.
 
     read, written, replaced: files by device and number; to be replaced is what stands in the place of an output.
-    sources: the paths of what was read. planned: outputs, and the file that was in their place (None: none). intact:
-    those of them that are as camcal left them. shortened: those that are shorter than that, and may be the beginning of
+    sources: the paths of what was read. planned: outputs, and what was in their place (None: nothing). intact: those of
+    them that are as camcal left them. shortened: those that are shorter than that, and may be the beginning of
     it. made: what was written. results: those of a whole run, which are listed. found_before: images that an earlier
     run has searched for this one. elsewhere: how many fan-outs a cluster has not finished; its workers may still write.
     """
@@ -117,7 +118,7 @@ class Run:
         self.sources: set[Path] = set()
         self.written: set[FileId] = set()
         self.replaced: set[FileId] = set()
-        self.planned: dict[Path, os.stat_result | None] = {}
+        self.planned: dict[Path, FileVersion | None] = {}
         self.named: set[Path] = set()
         self.unlisted: set[Path] = set()
         self.owned: list[Path] = []
@@ -191,7 +192,7 @@ class Run:
                 self._require_replaceable(path, found)
             if found is None or (stat.S_ISREG(found.st_mode) and place not in self.intact):
                 _require_writable(path)
-            self.planned[place] = found
+            self.planned[place] = found and _version(found)
             if found is not None:
                 self.replaced.add(_id(found))
 
@@ -322,14 +323,14 @@ class Run:
         found, before = _status(path), self.planned[path]
         if found is None or not stat.S_ISREG(found.st_mode):
             return False
-        if _is_same(before, found):
+        if before == _version(found):
             return self._is_listed(path)
         return path not in self.named or not says_camcal(path)
 
     def _entry_now(self, path: Path) -> Entry | None:
         """Return what is known of a file; one that another process has written for this run is read for it."""
         known, now = self._entry(path), _status(path)
-        is_new = known is None and now is not None and not _is_same(self.planned[path], now)
+        is_new = known is None and now is not None and self.planned[path] != _version(now)
         return Entry.of(path) if is_new else known
 
 
@@ -387,8 +388,8 @@ def _status(path: Path) -> os.stat_result | None:
         raise FileError(f"cannot be written: {reason(error)}", where=str(path)) from error
 
 
-def _is_same(before: os.stat_result | None, now: os.stat_result) -> bool:
-    return before is not None and (_id(now), now.st_mtime_ns) == (_id(before), before.st_mtime_ns)
+def _version(file: os.stat_result) -> FileVersion:
+    return _id(file), file.st_mtime_ns
 
 
 def _id(file: os.stat_result) -> FileId:
