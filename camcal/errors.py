@@ -90,6 +90,11 @@ class ItemsFailed(CamcalError):
     exit_code = 6
     kind = "items_failed"
 
+    @classmethod
+    def of(cls, failed: int, items: int, what: str) -> "ItemsFailed":
+        """Return the error of some of a number of items; what: these in words, such as images."""
+        return cls(f"{failed} of {items} {what} failed, the rest is written")
+
 
 class GateFailed(CamcalError):
     exit_code = 7

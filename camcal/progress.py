@@ -92,4 +92,4 @@ def require_all(outcomes: Iterable[Outcome[Item, Value]], what: str) -> None:
     outcomes = list(outcomes)
     failed = [str(outcome.error) for outcome in outcomes if outcome.error]
     if failed:
-        raise ItemsFailed(f"{len(failed)} of {len(outcomes)} {what} failed, the rest is written: {failed[0]}")
+        raise ItemsFailed(f"{ItemsFailed.of(len(failed), len(outcomes), what)}: {failed[0]}")

@@ -56,7 +56,7 @@ def _develop(options: DemosaicOptions, call: ImageCall) -> None:
     show.failed(outcomes)
     failed = [outcome for outcome in outcomes if outcome.error]
     if failed:
-        raise ItemsFailed(f"{len(failed)} of {len(outcomes)} frames failed, the rest is written")
+        raise ItemsFailed.of(len(failed), len(outcomes), "frames")
 
 
 def _make_map(options: DemosaicOptions, call: ImageCall) -> None:

@@ -58,7 +58,7 @@ def rectify(options: RectifyOptions, call: ImageCall) -> None:
     call.give(lambda: document(report), lambda: _show_rectified(report))
     show.failed(report.failed)
     if report.failed:
-        raise ItemsFailed(f"{len(report.failed)} of {len(report.images)} images failed, the rest is written")
+        raise ItemsFailed.of(len(report.failed), len(report.images), "images")
 
 
 def _show_rectified(report: "RectifyReport") -> None:

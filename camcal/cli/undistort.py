@@ -33,7 +33,7 @@ def _undistort_images(options: UndistortOptions, call: ImageCall) -> None:
     call.give(lambda: document(report), lambda: _show(report, call.verbose))
     show.failed(report.failed)
     if report.failed:
-        raise ItemsFailed(f"{len(report.failed)} of {len(report.outcomes)} images failed, the rest is written")
+        raise ItemsFailed.of(len(report.failed), len(report.outcomes), "images")
 
 
 def _undistort_points(options: UndistortOptions, call: ImageCall) -> None:

@@ -109,7 +109,7 @@ def require_good(report: RunReport, options: RunOptions) -> None:
         raise GateFailed.of(report.failures)
     failed = [outcome for outcome in report.outcomes if outcome.error is not None]
     if failed:
-        raise ItemsFailed(f"{len(failed)} of {len(report.outcomes)} pairs failed, the rest is written")
+        raise ItemsFailed.of(len(failed), len(report.outcomes), "pairs")
 
 
 def _calibrated(options: RunOptions, path: Path, progress: Progress) -> RigReport:
