@@ -116,23 +116,17 @@ def row(name: str, arguments: argparse.Namespace) -> np.ndarray | None:
     for split in range(arguments.splits):
         order = rng.permutation(len(captures))
         halves = [captures.take(np.sort(part)) for part in np.split(order, [len(captures) // 2])]
-        for motion, differences in found.items():
-            if motion is False and split >= arguments.without:
-                continue
-            start = time.process_time()
-            try:
-                results = [camcal_rig(half, rig.target, rig.lens, motion=motion, max_rejected=1.0) for half in halves]
-            except CamcalError as error:
-                failed += 1
-                print(f"# {name}: {error}", file=sys.stderr)
-                continue
-            if reasons := [why for result in results for why in result.unlinked.values()]:
-                failed += 1
-                print(f"# {name}: {reasons[0]}", file=sys.stderr)
-                continue
-            seconds.append((time.process_time() - start) / 2)
-            for camera, own in differences.items():
-                own.add(*results, camera)
+        start = time.process_time()
+        results = solved(name, halves, None)
+        seconds.append((time.process_time() - start) / 2)
+        failed += results is None
+        without = results
+        if split < arguments.without and results is not None and any(result.motion for result in results):
+            without = solved(name, halves, False)
+            failed += without is None
+        for motion, both in ((None, results), (False, without if split < arguments.without else None)):
+            for camera, own in found[motion].items() if both is not None else ():
+                own.add(*both, camera)
     whole = camcal_rig(captures, rig.target, rig.lens, max_rejected=1.0)
     moved = f"{1e3 * whole.motion.median:6.2f}" if whole.motion else f"{'-':>6}"
     for camera in rig.cameras[1:]:
@@ -150,6 +144,20 @@ def row(name: str, arguments: argparse.Namespace) -> np.ndarray | None:
         )
     large = len(captures) // 2 >= LEAST_HALF
     return np.array([own.ratios for own in found[None].values()]) if large else None
+
+
+def solved(name: str, halves: list[Captures], motion: bool | None) -> list[RigCalibration] | None:
+    """Return the calibrations of halves, None if one gives none."""
+    rig = RIGS[name]
+    try:
+        results = [camcal_rig(half, rig.target, rig.lens, motion=motion, max_rejected=1.0) for half in halves]
+    except CamcalError as error:
+        print(f"# {name}: {error}", file=sys.stderr)
+        return None
+    if reasons := [why for result in results for why in result.unlinked.values()]:
+        print(f"# {name}: {reasons[0]}", file=sys.stderr)
+        return None
+    return results
 
 
 def shared(captures: Captures) -> Captures:

@@ -46,9 +46,9 @@ class Estimate:
     """Where the passes ended.
 
     problem: with the final noise, weights and priors. board: the scales of the classes of its shape. coefficients:
-    (V, m) of effects. factors: of the last linear solve, effects in standard deviations. posterior: what it leaves
-    open. converged: whether the lens had settled. model_error_px: what a typical corner is off by beyond its
-    covariance, None without covariances.
+    (V, m) of effects. factors: of the last linear solve, effects in standard deviations. linearised: the state that it
+    began from. posterior: what it leaves open. converged: whether the lens had settled. model_error_px: what a typical
+    corner is off by beyond its covariance, None without covariances.
     """
 
     problem: BoardProblem
@@ -60,6 +60,7 @@ class Estimate:
     effect_scales: EffectScales | None
     coefficients: Array
     factors: Factors
+    linearised: State
     posterior: Posterior
     passes: int
     converged: bool
@@ -127,6 +128,7 @@ class _Passes(CameraPart, Alternation):
             effect_scales=self.effect_scales if self.additional.effects else None,
             coefficients=self.place.coefficients,
             factors=factors,
+            linearised=self.linearised,
             posterior=left,
             passes=number,
             converged=moved < CALM,
@@ -143,6 +145,7 @@ class _Passes(CameraPart, Alternation):
         if self.additional.points and not self.problem.offsets and not first:
             offsets = self._move_points()
         here = self.place
+        self.linearised = here.state
         factors, end = self._move()
         left = posterior(factors)
         self.board = self.board | board_scales(self.problem, end, factors)

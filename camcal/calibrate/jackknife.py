@@ -16,24 +16,18 @@ cost much, but no more than an outlier does.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
 
 import numpy as np
 from scipy.optimize import minimize_scalar, nnls
 
 from camcal.arrays import Array, FloatArray
-from camcal.calibrate.effects import Posterior
 from camcal.calibrate.estimator import Estimate
+from camcal.calibrate.influence import Solution, influence
 from camcal.calibrate.problem import State
 from camcal.geometry import rotation as so3
-from camcal.solve.steps import Factors
 
 _FINEST, _HEAVY = 1e-9, 1e3  # of the spread's trace and its root: that weights are determined, that they sum to one
 _ALIKE = 10.0  # views that count for estimates of equal scatter
-_LARGEST = 0.99  # leverage of a view: what it alone determines cannot be distinguished from the others
-# Times the variance that equal views would have, at most: CR3 has 1 / (1 - leverage), which grows without end where one
-# view determines something all but alone.
-_SAFETY = 3.0
 _FEW = 7.0  # views that hardly show what errors they share
 
 _DOF = 4.0  # of the Student distribution
@@ -44,47 +38,6 @@ _LEAST_SIGMA, _MOST_SIGMA = 1e-4, 20.0  # px
 # edge of the image costs its few corners there no more.
 GAIN = 0.10
 _MUCH, _LITTLE = ((GAIN, 1.5), (0.02, 2.5)), ((0.005, 1.5),)
-
-
-class Solution(Protocol):
-    """An estimate, of one camera or of several, as far as averages ask for it."""
-
-    @property
-    def problem(self) -> "SharedParameters": ...
-    @property
-    def state(self) -> Any: ...
-    @property
-    def factors(self) -> Factors: ...
-    @property
-    def posterior(self) -> Posterior: ...
-
-
-class SharedParameters(Protocol):
-    """A problem whose views share parameters (D,) of known precision (D, D) before the data."""
-
-    def shared_values(self, state: Any, /) -> Array: ...
-    def prior_precision(self) -> Array: ...
-
-
-def influence(estimate: Solution) -> Array:
-    """Return the changes (G, D) of the parameters that all views share, lens and terms of the board's shape, when each
-    of the views is left out, in one step from the last linear solve; scaled so that their squares add up to CR3.
-    """
-    factors, covariance = estimate.factors, estimate.posterior.shared
-    dense, root = len(covariance), np.linalg.cholesky(covariance)
-    scores, information = factors.group_scores(), factors.group_information()
-    matrix = factors.shared_root @ factors.shared_root.T
-    if len(matrix) > dense:  # offsets of single points follow
-        follow = np.linalg.solve(matrix[dense:, dense:], matrix[dense:, :dense])
-        scores = scores[:, :dense] - scores[:, dense:] @ follow
-        # what the offsets take of the information is taken from that of all views alike
-        turn = np.linalg.inv(np.linalg.cholesky(matrix[:dense, :dense]) @ root.T)
-        information = turn @ information @ turn.T
-    values, vectors = np.linalg.eigh(root.T @ information @ root)
-    left = 1 - np.clip(values, 0, _LARGEST)
-    pulls = np.einsum("gki,gk->gi", vectors, scores @ root) / np.maximum(left, np.sqrt(left / _SAFETY))
-    count = len(scores)
-    return np.asarray(np.sqrt((count - 1) / count) * np.einsum("gki,gi->gk", vectors, pulls) @ root.T)
 
 
 def image_metric(displacements: Array) -> Array:
@@ -143,16 +96,16 @@ def covariance_of(
     metric: Array,
     weights: Array,
     evidence: float = 1.0,
-    blocks: Sequence[slice] = (slice(None),),
+    blocks: Sequence[slice] = (),
     products: Array | None = None,
 ) -> Array:
     """Return the covariance (D, D) of the weighted parameters, lens and terms of the board's shape.
 
     Its scale over the image is that of the scatter from view to view and of the estimates about their mean, no less
-    than the estimates claim; blocks: of the metric's parameters, each with a scale of its own; products: as of
-    `weights_of`. Its shape is that of the same scatter, which G views determine in as many directions only, drawn
-    towards the claimed one as by D further views. Without evidence for errors within views, the claimed one is right
-    and CR3 too large, unless the views are too few to show such errors.
+    than the estimates claim. Its shape is that of the same scatter, which G views determine in as many directions only,
+    drawn towards the claimed one as by D further views. blocks: of the metric's parameters, each with a scale of its
+    own, drawn as by as many further views as it has parameters. products: as of `weights_of`. Without evidence for
+    errors within views, the claimed one is right and CR3 too large, unless the views are too few to show such errors.
     """
     claimed = np.tensordot(weights, np.stack([own.posterior.shared for own in estimates]), axes=1)
     others = _weights_of_others(left_out, metric, evidence, products)
@@ -165,11 +118,12 @@ def covariance_of(
         )
         return scatter_px / claimed_px
 
-    ratios = np.full(size, ratio(slice(None)))
+    ratios, further = np.full(size, ratio(slice(None))), np.full(size, float(size))
     for chosen in blocks:
-        ratios[:lens][chosen] = ratio(chosen)
+        ratios[chosen], further[chosen] = ratio(chosen), chosen.stop - chosen.start
     scale = np.sqrt(ratios)
-    mixed = (views * scatter + size * np.outer(scale, scale) * claimed) / (views + size)
+    of_scatter, of_claimed = np.sqrt(views / (views + further)), scale * np.sqrt(further / (views + further))
+    mixed = np.outer(of_scatter, of_scatter) * scatter + np.outer(of_claimed, of_claimed) * claimed
     least = np.maximum(1 / scale, 1.0)
     mixed *= np.outer(least, least)
     doubted = evidence + (1 - evidence) * min((_FEW / views) ** 2, 1.0)

@@ -175,6 +175,10 @@ class BoardProblem:
                 return None
         return [self.data(state, derivatives), *self.priors(state)]
 
+    def observed(self, state: State) -> list[Block]:
+        """Return the observations, by the lens's formula beyond its domain as well."""
+        return [self.data(state, self.derivatives(state))]
+
     def derivatives(self, state: State, *, within_domain: bool = False) -> "Derivatives":
         """Return the residuals and their derivatives at a state, by the lens's formula beyond its domain as well unless
         only points within it are to have an image.

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from observed import make_scene
 
-from camcal.calibrate import evidence
+from camcal.calibrate import evidence, influence
 from camcal.calibrate import fit as fitting
 from camcal.calibrate.alternation import AdditionalParameters
 from camcal.calibrate.effects import SMOOTH
@@ -96,6 +96,24 @@ def solved(scene, views, shape=None):
     seen, size = Observations.of(views), (1600, 1200)
     plain, turns = fit_plain(scene.camera.model, scene.board, seen, size, held, None, shape)
     return fit(plain, turns, size)
+
+
+def test_views_and_priors_are_what_the_last_linear_solve_knows():
+    scene = make_scene(count=8)
+    views = bent(scene, scene.observe(1, noise_px=0.1), 0.2)
+    found = solved(scene, views, ShapeOptions())
+    assert len(found.estimates) > 1
+    for own in found.estimates:
+        matrix = own.factors.shared_root @ own.factors.shared_root.T
+        assert len(matrix) > len(own.posterior.shared)  # offsets of points
+        blocks = own.problem.observed(own.linearised)
+        unit = np.sqrt(np.outer(np.diag(matrix), np.diag(matrix)))
+        parts = influence._information(blocks, own.factors.reduced, slice(0, len(views))) / unit
+        assert np.linalg.eigvalsh(parts).min() > -1e-9
+        shared = len(own.posterior.shared)
+        priors = np.zeros_like(matrix[:shared])
+        priors[:, :shared] = own.problem.prior_precision()
+        np.testing.assert_allclose((matrix / unit - parts.sum(axis=0))[:shared], priors / unit[:shared], atol=1e-9)
 
 
 def test_a_lens_that_holds_nowhere_is_that_of_the_plain_estimate(monkeypatch):

@@ -59,7 +59,7 @@ def run(monkeypatch, moves, *, brief=False, fresh=True, points=False, count=99, 
     passes.additional, passes.fresh = AdditionalParameters(smooth=False, points=points, effects=effects), fresh
     passes.problem = Points(SimpleNamespace(count=count), together)
     passes.place = SimpleNamespace(state=None, coefficients=None)
-    passes.noise = passes.corners = passes.board = None
+    passes.noise = passes.corners = passes.board = passes.linearised = None
     passes.on_points = spent
     passes.effect_scales = "their scales"
     return passes.run(brief=brief), seen

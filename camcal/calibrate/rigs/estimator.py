@@ -52,6 +52,7 @@ class RigEstimate:
     effect_scales: EffectScales
     coefficients: Array
     factors: Factors
+    linearised: RigState
     posterior: Posterior
     views: tuple[PartPosterior, ...]
     passes: int
@@ -153,6 +154,7 @@ class _RigPasses(Alternation):
             effect_scales=self.effect_scales,
             coefficients=self.place.coefficients,
             factors=factors,
+            linearised=self.linearised,
             posterior=left,
             views=self.views,
             passes=passes,
@@ -182,6 +184,7 @@ class _RigPasses(Alternation):
         if self.additional.points and not self.problem.offsets:
             offsets = self._move_points()
         here = self.place
+        self.linearised = here.state
         blocks, equations = self._equations()
         factors, end, std = self._move(equations)
         self.views = part_posteriors(

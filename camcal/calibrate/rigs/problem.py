@@ -163,11 +163,20 @@ class RigProblem:
             blocks = replace(part, lens_spread=None, term_std=None, offset_std=None).blocks(own)
             if blocks is None:
                 return None
-            columns = self.columns(camera)
-            block = self.in_rig(blocks[0], state, camera)
-            shared = tuple(Jacobian(each.values, columns[each.columns]) for each in block.shared)
-            result.append(replace(block, shared=shared, groups=self.captures[camera]))
+            result.append(self._placed(blocks[0], state, camera))
         return result + self.priors(state)
+
+    def observed(self, state: RigState) -> list[Block]:
+        """Return the observations, by the lenses' formulas beyond their domains as well."""
+        own = [self.of_camera(state, camera) for camera in range(len(self.parts))]
+        blocks = [part.data(each, part.derivatives(each)) for part, each in zip(self.parts, own, strict=True)]
+        return [self._placed(block, state, camera) for camera, block in enumerate(blocks)]
+
+    def _placed(self, block: Block, state: RigState, camera: int) -> Block:
+        """Return the block of a camera's views as one of captures, by the shared parameters of the rig."""
+        columns, block = self.columns(camera), self.in_rig(block, state, camera)
+        shared = tuple(Jacobian(each.values, columns[each.columns]) for each in block.shared)
+        return replace(block, shared=shared, groups=self.captures[camera])
 
     def in_rig(self, block: Block, state: RigState, camera: int) -> Block:
         """Return the block of a camera's views by the poses of camera and capture in place of camera_T_board.

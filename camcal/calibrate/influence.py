@@ -1,0 +1,117 @@
+"""What leaving out a view does to an estimate, in one step from its last linear solve (the jackknife's one step).
+
+Where single points of the board are estimated too, they follow: they are determined anew without the view, which the
+others then determine worse than all views did. Taken for determined as well as before, they would hide what a view does
+that sees the board in a way of its own.
+"""
+
+from collections.abc import Sequence
+from typing import Any, Protocol
+
+import numpy as np
+
+from camcal.arrays import Array
+from camcal.calibrate.effects import Posterior
+from camcal.solve.steps import Block, Factors
+
+_LARGEST = 0.99  # leverage of a view: what it alone determines cannot be distinguished from the others
+# Times the variance that equal views would have, at most: CR3 has 1 / (1 - leverage), which grows without end where one
+# view determines something all but alone.
+_SAFETY = 3.0
+_NEARLY = 1 - 1e-6  # of a view is left out, so that the others determine whatever there is
+_MEMORY = 1 << 26  # bytes of the matrices of views that are worked on at once
+
+
+class Solution(Protocol):
+    """An estimate, of one camera or of several, as far as averages ask for it."""
+
+    @property
+    def problem(self) -> "SharedParameters": ...
+    @property
+    def state(self) -> Any: ...
+    @property
+    def factors(self) -> Factors: ...
+    @property
+    def linearised(self) -> Any: ...
+    @property
+    def posterior(self) -> Posterior: ...
+
+
+class SharedParameters(Protocol):
+    """A problem whose views share parameters (D,) of known precision (D, D) before the data."""
+
+    def shared_values(self, state: Any, /) -> Array: ...
+    def prior_precision(self) -> Array: ...
+    def observed(self, state: Any, /) -> Sequence[Block]: ...
+
+
+def influence(estimate: Solution) -> Array:
+    """Return the changes (G, D) of the parameters that all views share, lens and terms of the board's shape, when each
+    of the views is left out, in one step from the last linear solve; scaled so that their squares add up to CR3.
+    """
+    factors, covariance = estimate.factors, estimate.posterior.shared
+    root = np.linalg.cholesky(covariance)
+    if len(factors.shared_root) > len(covariance):
+        kept, scores = _without_each(estimate)
+        shares = root.T @ kept @ root
+    else:
+        scores = factors.group_scores()
+        shares = np.eye(len(root)) - root.T @ factors.group_information() @ root
+    values, vectors = np.linalg.eigh(shares)
+    left = np.clip(values, 1 - _LARGEST, 1)
+    pulls = np.einsum("gki,gk->gi", vectors, scores @ root) / np.maximum(left, np.sqrt(left / _SAFETY))
+    count = len(scores)
+    return np.asarray(np.sqrt((count - 1) / count) * np.einsum("gki,gi->gk", vectors, pulls) @ root.T)
+
+
+def _without_each(estimate: Solution) -> tuple[Array, Array]:
+    """Return the information (G, D, D) on the shared parameters without each of the views, and the gradients (G, D)
+    that it stands against, single points of the board eliminated from both.
+
+    Observations and factors have to be of one state: parts of views are small differences of large products.
+    """
+    factors, dense = estimate.factors, len(estimate.posterior.shared)
+    matrix, scores = factors.shared_root @ factors.shared_root.T, factors.group_scores()
+    blocks, size = estimate.problem.observed(estimate.linearised), len(matrix)
+    kept, pulls = np.empty((len(scores), dense, dense)), np.empty((len(scores), dense))
+    step = max(_MEMORY // (8 * size**2), 1)
+    for start in range(0, len(scores), step):
+        views = slice(start, min(start + step, len(scores)))
+        others = matrix - _NEARLY * _information(blocks, factors.reduced[views], views)
+        right = np.zeros((len(others), size, dense + 1))
+        right[:, :dense, :dense], right[:, :, dense] = np.eye(dense), scores[views]
+        solved = np.linalg.solve(others, right)[:, :dense]
+        kept[views] = np.linalg.inv(solved[:, :, :dense])
+        pulls[views] = (kept[views] @ solved[:, :, dense:])[..., 0]
+    return (kept + kept.transpose(0, 2, 1)) / 2, pulls
+
+
+def _information(blocks: Sequence[Block], reduced: Array, views: slice) -> Array:
+    """Return the parts (g, S, S) of some views in the Schur complement.
+
+    blocks: rows of all views, derivatives by what all of them depend on, and by their own points. reduced: see Factors.
+    """
+    result = -reduced.transpose(0, 2, 1) @ reduced
+    for block in blocks:
+        count = len(block.residuals) // block.rows_per_group
+        groups = np.arange(count) if block.groups is None else block.groups
+        runs = np.flatnonzero((groups >= views.start) & (groups < views.stop))
+        place, roots = groups[runs] - views.start, np.sqrt(block.weighed()[1])[:, None, None]
+
+        def of_runs(rows: Array, runs: Array = runs, count: int = count) -> Array:
+            return rows.reshape(count, -1, *rows.shape[1:])[runs]
+
+        common = [part for part in block.shared if part.columns.ndim == 1]
+        columns = np.concatenate([part.columns for part in common])
+        by_all = of_runs(roots * np.concatenate([part.values for part in common], axis=2))  # (r, P, 2, L)
+        flat = by_all.reshape(len(runs), -1, len(columns))
+        result[np.ix_(place, columns, columns)] += flat.transpose(0, 2, 1) @ flat
+        own = place[:, None, None, None]
+        for part in block.shared:
+            if part.columns.ndim == 2:
+                by_point, points = of_runs(roots * part.values), of_runs(part.columns)  # (r, P, 2, 3), (r, P, 3)
+                mixed = by_all.swapaxes(2, 3) @ by_point
+                result[own, columns[:, None], points[:, :, None]] += mixed
+                result[own, points[..., None], columns] += mixed.swapaxes(2, 3)
+                result[own, points[..., None], points[:, :, None]] += by_point.swapaxes(2, 3) @ by_point
+    return result
