@@ -12,6 +12,7 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.calibrate.effects import Posterior
+from camcal.solve.least_squares import accumulate
 from camcal.solve.steps import Block, Factors
 
 _LARGEST = 0.99  # leverage of a view: what it alone determines cannot be distinguished from the others
@@ -92,6 +93,7 @@ def _information(blocks: Sequence[Block], reduced: Array, views: slice) -> Array
     blocks: rows of all views, derivatives by what all of them depend on, and by their own points. reduced: see Factors.
     """
     result = -reduced.transpose(0, 2, 1) @ reduced
+    size = result.shape[1]
     for block in blocks:
         count = len(block.residuals) // block.rows_per_group
         groups = np.arange(count) if block.groups is None else block.groups
@@ -106,12 +108,12 @@ def _information(blocks: Sequence[Block], reduced: Array, views: slice) -> Array
         by_all = of_runs(roots * np.concatenate([part.values for part in common], axis=2))  # (r, P, 2, L)
         flat = by_all.reshape(len(runs), -1, len(columns))
         result[np.ix_(place, columns, columns)] += flat.transpose(0, 2, 1) @ flat
-        own = place[:, None, None, None]
+        starts = size**2 * place[:, None, None, None]
         for part in block.shared:
             if part.columns.ndim == 2:
                 by_point, points = of_runs(roots * part.values), of_runs(part.columns)  # (r, P, 2, 3), (r, P, 3)
-                mixed = by_all.swapaxes(2, 3) @ by_point
-                result[own, columns[:, None], points[:, :, None]] += mixed
-                result[own, points[..., None], columns] += mixed.swapaxes(2, 3)
-                result[own, points[..., None], points[:, :, None]] += by_point.swapaxes(2, 3) @ by_point
+                rows, cross = starts + points[:, :, None], np.zeros_like(result)
+                accumulate(cross, rows + size * columns[:, None], by_all.swapaxes(2, 3) @ by_point)
+                result += cross + cross.transpose(0, 2, 1)
+                accumulate(result, rows + size * points[..., None], by_point.swapaxes(2, 3) @ by_point)
     return result
