@@ -13,8 +13,8 @@ moved: camcal's statement about all captures, the median motion of the board bet
 Halves of fewer than 6 captures are in the table, but not in the summary.
 
 Then: whether the three pairs of the trinocular rig close (second_T_third and so on, composed, against the pair's own,
-in standard deviations: all six numbers, their χ² and the largest), and whether the rig in one solve agrees with each;
-and the length of the baseline against the published one.
+in standard deviations: all six numbers, and their χ²), and whether the rig in one solve agrees with each, under two
+lens models; and the length of the baseline against the published one.
 
     CAMCAL_TEST_DATA=FOLDER python benchmarks/rig_halves.py [--rigs NAME …] [--splits 20] [--without 20] [--seed 0]
         [--cache FOLDER]
@@ -37,10 +37,13 @@ from rig_programs import camcal_rig, opencv_rigs
 
 from camcal.calibrate.rigs.captures import Captures
 from camcal.calibrate.rigs.record import RigCalibration
+from camcal.cameras.catalogue import model_named
+from camcal.cameras.model import CameraModel
 from camcal.errors import CamcalError
 from camcal.geometry.pose import Pose, compose_jacobians
 
 LEAST_HALF = 6
+MODELS_OF_CLOSURE = ("opencv5", "opencv14")
 PAIRS = {"l-m": ("left", "middle"), "l-r": ("left", "right"), "m-r": ("middle", "right")}
 
 
@@ -100,7 +103,8 @@ def main() -> None:
             own = shown[:, index]
             print(f"{what} over claimed: median {np.median(own):.2f} ({own.min():.2f} to {own.max():.2f})")
     if "trinocular" in arguments.rigs:
-        closure(arguments.cache)
+        for model in map(model_named, MODELS_OF_CLOSURE):
+            closure(model, arguments.cache)
     for name in arguments.rigs:
         published(name, arguments.cache)
 
@@ -179,24 +183,24 @@ def between_within(name: str, cache: Path) -> float:
     return max(ratios)
 
 
-def closure(cache: Path) -> None:
-    """Print whether the pairs of the trinocular rig close, and agree with the rig in one solve."""
+def closure(model: CameraModel, cache: Path) -> None:
+    """Print whether the pairs of the trinocular rig close, and agree with the rig in one solve, under a lens model."""
     rig, captures = RIGS["trinocular"], captures_of("trinocular", CAMCAL, cache)
     pairs = {}
     for name, cameras in PAIRS.items():
         index = [captures.cameras.index(camera) for camera in cameras]
         own = Captures(cameras, captures.names, tuple(tuple(row[i] for i in index) for row in captures.views))
-        result = camcal_rig(own, rig.target, rig.lens)
+        result = camcal_rig(own, rig.target, model)
         pairs[name] = result.poses[cameras[1]], result.pose_covariance(cameras[1])
     (m_T_l, first), (r_T_l, direct), (r_T_m, second) = pairs["l-m"], pairs["l-r"], pairs["m-r"]
     jacobians = compose_jacobians(r_T_m, m_T_l)
     composed = sum(jacobian @ own @ jacobian.T for jacobian, own in zip(jacobians, (second, first), strict=True))
-    compared("trinocular, right over middle against right", r_T_m @ m_T_l, r_T_l, composed + direct)
-    joint = camcal_rig(captures, rig.target, rig.lens)
+    compared(f"{model.name}, right over middle against right", r_T_m @ m_T_l, r_T_l, composed + direct)
+    joint = camcal_rig(captures, rig.target, model)
     own_m_T_r = joint.poses["right"] @ joint.poses["middle"].inverse()
     joint_pairs = {"l-m": joint.poses["middle"], "l-r": joint.poses["right"], "m-r": own_m_T_r}
     for name, pose in joint_pairs.items():
-        compared(f"trinocular in one solve against {name}", pose, *pairs[name])
+        compared(f"{model.name}, one solve against {name}", pose, *pairs[name])
 
 
 def compared(words: str, pose: Pose, other: Pose, covariance: np.ndarray) -> None:
