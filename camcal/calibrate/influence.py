@@ -20,6 +20,8 @@ _LARGEST = 0.99  # leverage of a view: what it alone determines cannot be distin
 # view determines something all but alone.
 _SAFETY = 3.0
 _NEARLY = 1 - 1e-6  # of a view is left out, so that the others determine whatever there is
+_ROUNDING = 1e-12  # of the diagonal
+_ABOVE_ALL = 1e300  # the square of a row that no other one follows
 _MEMORY = 1 << 26  # bytes of the matrices of views that are worked on at once
 
 
@@ -74,17 +76,20 @@ def _without_each(estimate: Solution) -> tuple[Array, Array]:
     factors, dense = estimate.factors, len(estimate.posterior.shared)
     matrix, scores = factors.shared_root @ factors.shared_root.T, factors.group_scores()
     blocks, size = estimate.problem.observed(estimate.linearised), len(matrix)
+    points_first = np.roll(np.arange(size), -dense)
     kept, pulls = np.empty((len(scores), dense, dense)), np.empty((len(scores), dense))
     step = max(_MEMORY // (8 * size**2), 1)
     for start in range(0, len(scores), step):
         views = slice(start, min(start + step, len(scores)))
         others = matrix - _NEARLY * _information(blocks, factors.reduced[views], views)
-        right = np.zeros((len(others), size, dense + 1))
-        right[:, :dense, :dense], right[:, :, dense] = np.eye(dense), scores[views]
-        solved = np.linalg.solve(others, right)[:, :dense]
-        kept[views] = np.linalg.inv(solved[:, :, :dense])
-        pulls[views] = (kept[views] @ solved[:, :, dense:])[..., 0]
-    return (kept + kept.transpose(0, 2, 1)) / 2, pulls
+        others[:, range(size), range(size)] += _ROUNDING * np.diag(matrix)
+        # the last rows of a Cholesky factor are the factor of the Schur complement, and of a row below L⁻¹ times that
+        bordered = np.full((len(others), size + 1, size + 1), _ABOVE_ALL)
+        bordered[:, :size, :size] = others[:, points_first[:, None], points_first]
+        bordered[:, size, :size] = bordered[:, :size, size] = scores[views][:, points_first]
+        root, last = np.split(np.linalg.cholesky(bordered)[:, size - dense :, size - dense : size], [dense], axis=1)
+        kept[views], pulls[views] = root @ root.transpose(0, 2, 1), np.einsum("gij,gkj->gi", root, last)
+    return kept, pulls
 
 
 def _information(blocks: Sequence[Block], reduced: Array, views: slice) -> Array:

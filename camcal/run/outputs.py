@@ -106,9 +106,9 @@ class Run:
 
     read, written, replaced: files by device and number; to be replaced is what stands in the place of an output.
     sources: the paths of what was read. planned: outputs, and what was in their place (None: nothing). intact: those of
-    them that are as camcal left them. shortened: those that are shorter than that, and may be the beginning of
-    it. made: what was written. results: those of a whole run, which are listed. found_before: images that an earlier
-    run has searched for this one. elsewhere: how many fan-outs a cluster has not finished; its workers may still write.
+    them that are as camcal left them. shortened: those that are shorter than that, and may be the beginning of it.
+    made: what was written. results: those of a whole run, which are listed. found_before: images that an earlier run
+    has searched for this one. elsewhere: how many fan-outs a cluster has not finished; its workers may still write.
     """
 
     def __init__(self) -> None:
