@@ -32,6 +32,7 @@ _CAPTURE = {
     "f_number": (0x829D,),
     "focal_mm": (0x920A,),
 }
+_TEXT = {"make", "model"}
 _TAKEN = 0x9003, 0x9291  # date and time, and the fraction of a second
 _ASCII, _SHORT, _LONG, _RATIONAL = 2, 3, 4, 5
 _TOO_LARGE = 0xFFFF  # "this or more" in the ISO tag
@@ -75,7 +76,8 @@ def orientation(block: bytes) -> int:
 def capture_facts(block: bytes) -> dict[str, Any]:
     """Return how the image was taken: make, model, exposure_s, iso, f_number, focal_mm, as far as known.
 
-    block: an EXIF block, or a file built like TIFF, as most camera raw files are. Zero counts as not said.
+    block: an EXIF block, or a file built like TIFF, as most camera raw files are. Zero counts as not said, and so does
+    a number in place of a name or a text in place of a number.
     """
     try:
         order = _RAW_ORDERS[block[:2]]
@@ -87,7 +89,9 @@ def capture_facts(block: bytes) -> dict[str, Any]:
         name: next(filter(None, (_fact(block, order, entries[tag]) for tag in tags if tag in entries)), None)
         for name, tags in _CAPTURE.items()
     }
-    return {name: value for name, value in said.items() if value is not None}
+    return {
+        name: value for name, value in said.items() if value is not None and isinstance(value, str) == (name in _TEXT)
+    }
 
 
 def time_taken(block: bytes) -> tuple[str, str] | None:

@@ -12,6 +12,7 @@ from PIL.TiffImagePlugin import IFDRational
 from camcal.images import exif
 
 ORIENTATION = 0x0112
+ASCII, SHORT = 2, 3
 
 
 def pillow_block(orientation=None, byte_order="<"):
@@ -145,6 +146,15 @@ def test_a_speed_beyond_sixteen_bits_is_found_in_the_longer_tag():
 def test_text_that_is_not_ascii_is_no_traceback():
     block = capture_block().replace(b"Acme", b"\xe9\xe8\0x")
     assert exif.capture_facts(block)["make"] == "\ufffd\ufffd"
+
+
+def test_numbers_in_place_of_names_and_texts_in_place_of_numbers_are_not_said():
+    block = bytearray(capture_block())
+    for tag, kind in ((0x010F, SHORT), (0x829A, ASCII)):
+        place = block.index(struct.pack("<H", tag))
+        block[place + 2 : place + 4] = struct.pack("<H", kind)
+    said = exif.capture_facts(bytes(block))
+    assert said == {name: value for name, value in CAPTURE.items() if name not in ("make", "exposure_s")}
 
 
 @given(st.binary(max_size=300), st.sampled_from([b"", b"II*\0", b"MM\0*", b"II*\0\x08\0\0\0", b"IIU\0\x08\0\0\0"]))
