@@ -83,8 +83,11 @@ def _cropped(
 ) -> Camera:
     """Return the pinhole between the largest crop without an empty pixel and the smallest frame around all pixels."""
     shape = (size[0] - 1) / (size[1] - 1) * camera.value("fy") / camera.value("fx")
+    elongation = max(shape, 1 / shape)
+    if elongation == np.inf:  # a focal length next to zero
+        raise _no_crop(size)
     # The ends of an elongated crop fall between samples of the outline unless there are more of them.
-    rays = _outline(camera, circle, _PER_EDGE * min(_DENSEST, 1 + int(max(shape, 1 / shape) / 8)))
+    rays = _outline(camera, circle, _PER_EDGE * min(_DENSEST, 1 + int(elongation / 8)))
     widest = 2 * float(_angles(rays).max())
     in_front = _angles(rays) < _WIDEST_PINHOLE / 2
     if not in_front.any() or (alpha > 0 and not in_front.all()):
@@ -105,7 +108,11 @@ def _without_empty_pixels(camera: Camera, circle: ImageCircle | None, box: Array
         smaller = np.tile(middle, 2) + (1 - shrink) * (box - np.tile(middle, 2))
         if _is_full(Trace(camera, _filled(smaller, size), circle=circle)):
             return smaller
-    raise InvalidInput("no crop of {}x{} without an empty pixel was found; use --keep-k or --fov".format(*size))
+    raise _no_crop(size)
+
+
+def _no_crop(size: tuple[int, int]) -> InvalidInput:
+    return InvalidInput("no crop of {}x{} without an empty pixel was found; use --keep-k or --fov".format(*size))
 
 
 def _is_full(trace: Trace) -> bool:

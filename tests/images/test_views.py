@@ -175,3 +175,9 @@ def test_the_search_for_a_crop_ends_where_the_axis_is_at_the_corner_of_the_image
     lens = Camera(model_named("kannala_brandt4"), (400, 300), np.array([150, 150, 2, 2, 0.01, -0.01, 0.002, -0.001]))
     with pytest.raises(InvalidInput, match="exceeds the field of view of a pinhole"):
         make_view(lens, ViewOptions())
+
+
+def test_a_focal_length_next_to_zero_has_no_crop():
+    lens = camera("opencv5", (96, 72), 100.0, 1e-320, 47, 35, -0.1, 0.02, 0, 0, 0)
+    with pytest.raises(InvalidInput, match="no crop of 96x72 without an empty pixel was found"):
+        make_view(lens, ViewOptions())
