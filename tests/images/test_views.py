@@ -177,7 +177,8 @@ def test_the_search_for_a_crop_ends_where_the_axis_is_at_the_corner_of_the_image
         make_view(lens, ViewOptions())
 
 
-def test_a_focal_length_next_to_zero_has_no_crop():
-    lens = camera("opencv5", (96, 72), 100.0, 1e-320, 47, 35, -0.1, 0.02, 0, 0, 0)
-    with pytest.raises(InvalidInput, match="no crop of 96x72 without an empty pixel was found"):
+@pytest.mark.parametrize(("size", "fy"), [((96, 72), 1e-320), ((1, 72), 100.0), ((96, 1), 100.0)])
+def test_a_focal_length_next_to_zero_or_a_single_row_has_no_crop(size, fy):
+    lens = camera("opencv5", size, 100.0, fy, size[0] / 2, size[1] / 2, -0.1, 0.02, 0, 0, 0)
+    with pytest.raises(InvalidInput, match=r"no crop of \d+x\d+ without an empty pixel was found"):
         make_view(lens, ViewOptions())
