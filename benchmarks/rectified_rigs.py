@@ -195,7 +195,7 @@ def _common_points(rig: RandomRig, rng: np.random.Generator, count: int = POINTS
     """
     narrow = int(rig.lenses[1].half_field < rig.lenses[0].half_field)
     lens = rig.lenses[narrow]
-    for distance in (*DISTANCES, *_meeting(rig)):
+    for distance in (*DISTANCES, *_meeting(rig, narrow)):
         cosine = rng.uniform(np.cos(min(lens.half_field, np.pi)), 1, count)
         azimuth, sine = rng.uniform(0, 2 * np.pi, count), np.sqrt(1 - cosine**2)
         rays = np.column_stack([sine * np.cos(azimuth), sine * np.sin(azimuth), cosine])
@@ -207,14 +207,15 @@ def _common_points(rig: RandomRig, rng: np.random.Generator, count: int = POINTS
         yield first[seen], float(seen.sum() / max(1, seen_by_own.sum()))
 
 
-def _meeting(rig: RandomRig) -> list[float]:
-    """Return distances, in baselines, around where the optical axes meet, if they do."""
+def _meeting(rig: RandomRig, side: int) -> list[float]:
+    """Return distances from a camera, in baselines, around where the optical axes meet, if they do."""
     one, other = np.array([0, 0, 1.0]), rig.rotation.T @ [0, 0, 1.0]
     system = np.column_stack([one, -other])
     where, *_ = np.linalg.lstsq(system, rig.second_centre, rcond=None)
-    if np.linalg.norm(np.cross(one, other)) < 0.02 or min(where) <= 0:
+    apart = np.linalg.norm(system @ where - rig.second_centre)  # of axes that pass each other
+    if np.linalg.norm(np.cross(one, other)) < 0.02 or min(where) <= 0 or apart > rig.baseline / 2:
         return []
-    return [share * where[0] / rig.baseline for share in (0.8, 1.0, 1.5)]
+    return [share * where[side] / rig.baseline for share in (0.8, 1.0, 1.5)]
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from camcal.stereo.rectify.record import AXES, CYLINDRICAL, LATLON, PINHOLE, Rec
 from camcal.stereo.rectify.window import Region, Window, window_of
 
 KEPT = 0.85  # share of the common field that is to be kept
-_KEPT_OBLIQUE = 0.87  # by pairs that may look along their baseline; the grid is coarse near it
+_KEPT_OBLIQUE = 0.90  # by pairs that may look along their baseline; the grid is coarse near it
 _WIDEST = {PINHOLE: np.radians(52), CYLINDRICAL: np.radians(58)}  # from the middle, where the projection is chosen
 _AXIAL, _OBLIQUE = np.radians(15), np.radians(65)  # of the mean view from the baseline
 _TURNED = 0.05  # of an image, whose content may be turned by more than 90°
