@@ -6,13 +6,14 @@ that sees the board in a way of its own.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, Protocol
 
 import numpy as np
 
 from camcal.arrays import Array
 from camcal.calibrate.effects import Posterior
-from camcal.solve.least_squares import accumulate
+from camcal.solve.least_squares import assemble, part_of
 from camcal.solve.steps import Block, Factors
 
 _LARGEST = 0.99  # leverage of a view: what it alone determines cannot be distinguished from the others
@@ -22,7 +23,6 @@ _SAFETY = 3.0
 _NEARLY = 1 - 1e-6  # of a view is left out, so that the others determine whatever there is
 _ROUNDING = 1e-12  # of the diagonal
 _ABOVE_ALL = 1e300  # the square of a row that no other one follows
-_MEMORY = 1 << 26  # bytes of the matrices of views that are worked on at once
 
 
 class Solution(Protocol):
@@ -78,47 +78,26 @@ def _without_each(estimate: Solution) -> tuple[Array, Array]:
     blocks, size = estimate.problem.observed(estimate.linearised), len(matrix)
     points_first = np.roll(np.arange(size), -dense)
     kept, pulls = np.empty((len(scores), dense, dense)), np.empty((len(scores), dense))
-    step = max(_MEMORY // (8 * size**2), 1)
-    for start in range(0, len(scores), step):
-        views = slice(start, min(start + step, len(scores)))
-        others = matrix - _NEARLY * _information(blocks, factors.reduced[views], views)
-        others[:, range(size), range(size)] += _ROUNDING * np.diag(matrix)
-        # the last rows of a Cholesky factor are the factor of the Schur complement, and of a row below L⁻¹ times that
-        bordered = np.full((len(others), size + 1, size + 1), _ABOVE_ALL)
-        bordered[:, :size, :size] = others[:, points_first[:, None], points_first]
-        bordered[:, size, :size] = bordered[:, :size, size] = scores[views][:, points_first]
-        root, last = np.split(np.linalg.cholesky(bordered)[:, size - dense :, size - dense : size], [dense], axis=1)
-        kept[views], pulls[views] = root @ root.transpose(0, 2, 1), np.einsum("gij,gkj->gi", root, last)
+    # the last rows of a Cholesky factor are the factor of the Schur complement, and of a row below L⁻¹ times that
+    bordered = np.full((size + 1, size + 1), _ABOVE_ALL)
+    for view, score in enumerate(scores):
+        others = matrix - _NEARLY * _information(blocks, factors.reduced[view], view)
+        others[range(size), range(size)] += _ROUNDING * np.diag(matrix)
+        bordered[:size, :size] = others[points_first[:, None], points_first]
+        bordered[size, :size] = bordered[:size, size] = score[points_first]
+        root, last = np.split(np.linalg.cholesky(bordered)[size - dense :, size - dense : size], [dense])
+        kept[view], pulls[view] = root @ root.T, root @ last[0]
     return kept, pulls
 
 
-def _information(blocks: Sequence[Block], reduced: Array, views: slice) -> Array:
-    """Return the parts (g, S, S) of some views in the Schur complement.
+def _information(blocks: Sequence[Block], reduced: Array, view: int) -> Array:
+    """Return the part (S, S) of a view in the Schur complement.
 
-    blocks: rows of all views, derivatives by what all of them depend on, and by their own points. reduced: see Factors.
+    blocks: rows of all views. reduced: (g, S) of the view, see Factors.
     """
-    result = -reduced.transpose(0, 2, 1) @ reduced
-    size = result.shape[1]
+    own = []
     for block in blocks:
-        count = len(block.residuals) // block.rows_per_group
-        groups = np.arange(count) if block.groups is None else block.groups
-        runs = np.flatnonzero((groups >= views.start) & (groups < views.stop))
-        place, roots = groups[runs] - views.start, np.sqrt(block.weighed()[1])[:, None, None]
-
-        def of_runs(rows: Array, runs: Array = runs, count: int = count) -> Array:
-            return rows.reshape(count, -1, *rows.shape[1:])[runs]
-
-        common = [part for part in block.shared if part.columns.ndim == 1]
-        columns = np.concatenate([part.columns for part in common])
-        by_all = of_runs(roots * np.concatenate([part.values for part in common], axis=2))  # (r, P, 2, L)
-        flat = by_all.reshape(len(runs), -1, len(columns))
-        result[np.ix_(place, columns, columns)] += flat.transpose(0, 2, 1) @ flat
-        starts = size**2 * place[:, None, None, None]
-        for part in block.shared:
-            if part.columns.ndim == 2:
-                by_point, points = of_runs(roots * part.values), of_runs(part.columns)  # (r, P, 2, 3), (r, P, 3)
-                rows, cross = starts + points[:, :, None], np.zeros_like(result)
-                accumulate(cross, rows + size * columns[:, None], by_all.swapaxes(2, 3) @ by_point)
-                result += cross + cross.transpose(0, 2, 1)
-                accumulate(result, rows + size * points[..., None], by_point.swapaxes(2, 3) @ by_point)
-    return result
+        runs = [view] if block.groups is None else np.flatnonzero(block.groups == view)
+        own += [replace(part_of(block, slice(run, run + 1)), groups=np.zeros(1, np.intp)) for run in runs]
+    size, shared = reduced.shape
+    return np.asarray(assemble(own, shared, 1, size).shared_shared - reduced.T @ reduced)

@@ -217,19 +217,19 @@ def _add_scattered(
     rows, size, columns = common
     at, shared = jacobian.columns.T, len(total.gradient.shared)
     products = np.einsum("dlm,djm->ljm", own, rows)
-    accumulate(total.gradient.shared, at, products[:, -1])
-    accumulate(total.shared_shared, at[:, None] * shared + at[None, :], np.einsum("dlm,dkm->lkm", own, own))
+    _scatter(total.gradient.shared, at, products[:, -1])
+    _scatter(total.shared_shared, at[:, None] * shared + at[None, :], np.einsum("dlm,dkm->lkm", own, own))
     cross = np.zeros((shared, shared))
     index = at[:, None] * shared + columns[None, :, None]
-    accumulate(cross, index, products[:, size:-1])
+    _scatter(cross, index, products[:, size:-1])
     total.shared_shared[:] += cross + cross.T
     if block.rows_per_group:
         runs = np.arange(own.shape[-1]) // block.rows_per_group
         group = runs + where.start if isinstance(where, slice) else where[runs]
-        accumulate(total.group_gradients, group * shared + at, products[:, -1])
+        _scatter(total.group_gradients, group * shared + at, products[:, -1])
         places = group * total.group_shared.shape[1] + _group_columns(block, size)[:, None]
         index = places[None] * shared + at[:, None]
-        accumulate(total.group_shared, index, products[:, :size])
+        _scatter(total.group_shared, index, products[:, :size])
 
 
 def _add_cross(total: NormalEquations, first: Jacobian, second: Jacobian, weights: Array) -> None:
@@ -237,7 +237,7 @@ def _add_cross(total: NormalEquations, first: Jacobian, second: Jacobian, weight
     root, shared = np.sqrt(weights), len(total.gradient.shared)
     products = np.einsum("dlm,dkm->lkm", _rows([first.values], root), _rows([second.values], root))
     cross = np.zeros((shared, shared))
-    accumulate(cross, first.columns.T[:, None] * shared + second.columns.T[None, :], products)
+    _scatter(cross, first.columns.T[:, None] * shared + second.columns.T[None, :], products)
     total.shared_shared[:] += cross + cross.T
 
 
@@ -251,15 +251,19 @@ def _parts(block: Block) -> Iterator[tuple[Block, slice | Array]]:
     step = max(_PART_ROWS // length, 1)
     for first in range(0, groups, step):
         where = slice(first, min(first + step, groups))
-        rows = slice(where.start * length, where.stop * length)
-        part = replace(
-            block,
-            residuals=block.residuals[rows],
-            shared=tuple(_rows_of(jacobian, rows) for jacobian in block.shared),
-            group=None if block.group is None else block.group[rows],
-            weights=None if block.weights is None else block.weights[rows],
-        )
-        yield part, where if block.groups is None else block.groups[where]
+        yield part_of(block, where), where if block.groups is None else block.groups[where]
+
+
+def part_of(block: Block, runs: slice) -> Block:
+    """Return some runs of a block; their groups are those of the whole one."""
+    rows = slice(runs.start * block.rows_per_group, runs.stop * block.rows_per_group)
+    return replace(
+        block,
+        residuals=block.residuals[rows],
+        shared=tuple(_rows_of(jacobian, rows) for jacobian in block.shared),
+        group=None if block.group is None else block.group[rows],
+        weights=None if block.weights is None else block.weights[rows],
+    )
 
 
 def _indices(where: slice | Array) -> Array:
@@ -309,7 +313,7 @@ def _rows(parts: Sequence[Array], root_weights: Array) -> Array:
     return result
 
 
-def accumulate(target: Array, index: Array, values: Array) -> None:
+def _scatter(target: Array, index: Array, values: Array) -> None:
     """Add values to the flat positions `index` of a contiguous array; repeated positions add up."""
     index = np.broadcast_to(index, values.shape)
     target += np.bincount(index.ravel(), values.ravel(), target.size).reshape(target.shape)
