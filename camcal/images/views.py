@@ -82,9 +82,11 @@ def _cropped(
     camera: Camera, circle: ImageCircle | None, alpha: float, size: tuple[int, int], *, stretch: bool
 ) -> Camera:
     """Return the pinhole between the largest crop without an empty pixel and the smallest frame around all pixels."""
-    shape = (size[0] - 1) / max(size[1] - 1, 1) * camera.value("fy") / camera.value("fx")
-    elongation = max(shape, 1 / shape) if min(size) > 1 else np.inf
-    if elongation == np.inf:  # images one pixel wide or high, a focal length next to zero
+    if min(size) < 2:
+        raise _no_crop(size)
+    shape = (size[0] - 1) / (size[1] - 1) * camera.value("fy") / camera.value("fx")
+    elongation = max(shape, 1 / shape)
+    if elongation == np.inf:  # a focal length next to zero
         raise _no_crop(size)
     # The ends of an elongated crop fall between samples of the outline unless there are more of them.
     rays = _outline(camera, circle, _PER_EDGE * min(_DENSEST, 1 + int(elongation / 8)))
