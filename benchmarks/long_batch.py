@@ -18,6 +18,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -97,21 +98,32 @@ def make(folder: Path, count: int, size: tuple[int, int]) -> None:
 
 def watched(folder: Path, words: list[str], output: Path, until: int | None) -> Ended:
     """Return how a command ended that is killed, with its processes, when so many images are there."""
-    start, began, memory = time.monotonic(), time.time(), 0
+    start, began = time.monotonic(), time.time()
     process = subprocess.Popen(
         [*COMMAND, *words],
         cwd=folder,
         stdout=subprocess.DEVNULL,
         start_new_session=True,
     )
-    while process.poll() is None:
-        memory = max(memory, memory_of_group(process.pid))
+
+    def kill_if_due() -> None:
         if until is not None and output.is_dir() and sum(1 for _ in os.scandir(output)) >= until:
             os.killpg(process.pid, signal.SIGKILL)
-        time.sleep(_EVERY)
+
+    memory = greatest_memory(process, kill_if_due)
     seconds = time.monotonic() - start
     times = sorted(each.stat().st_mtime for each in os.scandir(output) if each.name.endswith(".jpg"))
     return Ended(process.returncode, seconds, memory, [each for each in times if each >= began])
+
+
+def greatest_memory(process: subprocess.Popen, meanwhile: Callable[[], None] = lambda: None) -> int:
+    """Return the greatest proportional set size, bytes, of the group that a process leads until it ends."""
+    memory = 0
+    while process.poll() is None:
+        memory = max(memory, memory_of_group(process.pid))
+        meanwhile()
+        time.sleep(_EVERY)
+    return memory
 
 
 def memory_of_group(group: int) -> int:

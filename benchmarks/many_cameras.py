@@ -24,7 +24,7 @@ from subprocess import DEVNULL, CompletedProcess
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
-from long_batch import COMMAND, memory_of_group, same
+from long_batch import COMMAND, greatest_memory, same
 
 from camcal.formats import detections
 from camcal.formats.detections import Detections
@@ -41,7 +41,6 @@ HERE, BENT = Transform.of([0, 0, 0], [0, 0, 0]), (3e-4, -2e-4)
 EVERY, ONE_PLACE, LOOSE = 25, 7, 19  # of so many cameras, those that are shown the board badly
 UNSTEADY = 0.7  # px
 LIMIT, SHOWN = "0.05", 10  # px of the uncertainty; lines of the summary
-_EVERY = 0.5  # s
 PIPELINE = f"""\
 lists:
   camera: cameras/*.csv
@@ -106,14 +105,12 @@ def make(path: Path, camera: int, corners: int) -> None:
 
 def watched(folder: Path, words: list[str]) -> tuple[float, CompletedProcess[str], int]:
     """Return the seconds of a command, how it ended, and the greatest memory in bytes."""
-    start, memory = time.monotonic(), 0
+    start = time.monotonic()
     with (folder / "stdout").open("w+") as stdout:
         process = subprocess.Popen(
             [*COMMAND, *words], cwd=folder, stdout=stdout, stderr=DEVNULL, start_new_session=True
         )
-        while process.poll() is None:
-            memory = max(memory, memory_of_group(process.pid))
-            time.sleep(_EVERY)
+        memory = greatest_memory(process)
         stdout.seek(0)
         ended = CompletedProcess(words, process.returncode, stdout.read())
     return time.monotonic() - start, ended, memory

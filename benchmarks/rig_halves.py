@@ -124,11 +124,11 @@ def row(name: str, arguments: argparse.Namespace) -> np.ndarray | None:
         results = solved(name, halves, None)
         seconds.append((time.process_time() - start) / 2)
         failed += results is None
-        without = results
-        if split < arguments.without and results is not None and any(result.motion for result in results):
+        without = results if split < arguments.without else None
+        if without is not None and any(result.motion for result in without):
             without = solved(name, halves, False)
             failed += without is None
-        for motion, both in ((None, results), (False, without if split < arguments.without else None)):
+        for motion, both in ((None, results), (False, without)):
             for camera, own in found[motion].items() if both is not None else ():
                 own.add(*both, camera)
     whole = camcal_rig(captures, rig.target, rig.lens, max_rejected=1.0)
