@@ -1,5 +1,6 @@
 """The calibration from start to solution: robust fits, symmetric boards, estimates and their average."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -100,7 +101,7 @@ def fit(plain: Estimate, turns: Array, image_size: tuple[int, int]) -> Calibrati
     errors = WithinViews(found.share)
     if estimates[-1].additional.effects == _EFFECTS[-1]:
         errors = within_views(found, estimates[-1], image_size[1])
-    return _averaged(tuple(estimates), errors, turns, image_size)
+    return averaged_fit(tuple(estimates), errors, turns, image_size, [influence(own) for own in estimates])
 
 
 def fit_plain(
@@ -147,10 +148,17 @@ def _with_effects(start: Estimate, effects: tuple[str, ...]) -> Estimate | None:
         return None
 
 
-def _averaged(
-    estimates: tuple[Estimate, ...], errors: WithinViews, turns: Array, image_size: tuple[int, int]
+def averaged_fit(
+    estimates: tuple[Estimate, ...],
+    errors: WithinViews,
+    turns: Array,
+    image_size: tuple[int, int],
+    left_out: Sequence[Array],
 ) -> CalibrationFit:
-    """Return the solution by estimates, in which those that model effects are weighted by the evidence for these."""
+    """Return the solution by estimates, in which those that model effects are weighted by the evidence for these.
+
+    left_out: of each estimate, see `influence`.
+    """
     plain = estimates[0]
     moved = displacements(plain.problem, plain.state, image_size) if len(plain.problem.free) else np.zeros((0, 2, 0))
     if not len(moved):  # the lens is held, or holds nowhere, as that of a wrong board may
@@ -163,7 +171,6 @@ def _averaged(
             noise_covariance=plain.posterior.shared,
             errors=errors,
         )
-    left_out = [influence(own) for own in estimates]
     metric = image_metric(moved)
     weights = weights_of(left_out, metric, errors.share)
     state = plain.state

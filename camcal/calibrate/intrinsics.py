@@ -10,8 +10,9 @@ from camcal.arrays import Array, FloatArray, readonly
 from camcal.calibrate.between_views import BetweenViews, between_views
 from camcal.calibrate.estimator import Estimate
 from camcal.calibrate.evidence import WithinViews
-from camcal.calibrate.fit import CalibrationFit, ShapeOptions, fit, fit_plain
-from camcal.calibrate.jackknife import CandidateModel, candidate_model
+from camcal.calibrate.fit import CalibrationFit, ShapeOptions, averaged_fit, fit, fit_plain
+from camcal.calibrate.influence import influence
+from camcal.calibrate.jackknife import predict_views
 from camcal.calibrate.noise import REJECTED
 from camcal.calibrate.problem import POSE, BoardProblem
 from camcal.calibrate.refusals import (
@@ -38,7 +39,7 @@ from camcal.targets.board import Board
 from camcal.targets.detection import BoardDetection
 from camcal.targets.surface import Surface
 
-__all__ = ["Calibration", "Options", "RejectedCorner", "View", "calibrate", "compare_models"]
+__all__ = ["Calibration", "CandidateModel", "Options", "RejectedCorner", "View", "calibrate", "compare_models"]
 
 # Of its prior's standard deviation: above it the data bring less than three quarters of a coefficient's precision, so
 # that more than a quarter is an assumption (1/σ² = 1/σ_data² + 1/σ_prior²).
@@ -104,6 +105,31 @@ class Calibration:
 
 
 @dataclass(frozen=True, eq=False)
+class CandidateModel:
+    """A lens model and how well it predicts: scores (V,) log likelihoods of the views; sigma_px: the scale of the
+    errors of a coordinate, 0.85 standard deviations of Gaussian ones.
+
+    reason: why it has no score, None if it has. calibration: a brief one with this model, None where it would be
+    refused. map_px: RMS standard deviation of the projection over the image, once it was assessed. failures: codes of
+    why it is refused, or of the criteria that it does not meet.
+    """
+
+    name: str
+    scores: FloatArray | None = None
+    corners: int = 0
+    sigma_px: float | None = None
+    reason: str | None = None
+    calibration: Calibration | None = None
+    map_px: float | None = None
+    failures: tuple[str, ...] = ()
+
+    @property
+    def score(self) -> float:
+        """The log likelihood of a corner on average, nat; -inf without one."""
+        return float(self.scores.sum()) / self.corners if self.scores is not None else -np.inf
+
+
+@dataclass(frozen=True, eq=False)
 class Solved:
     """A solution with what it was made from: the detections, and why some of them are not used (None: they are)."""
 
@@ -149,8 +175,7 @@ def solve(detections: Sequence[BoardDetection], board: Board, options: Options) 
         require_one_camera(cameras)
         require_tilts(result.state.rotations)
         raise NotConverged(
-            f"calibration not converged after {result.plain.passes} passes: use a --model with fewer coefficients, "
-            "add views, or give a --guess"
+            f"calibration not converged after {result.plain.passes} passes with the lens model {options.model.name}"
         )
     return Solved(result, tuple(detections), tuple(reasons), size, cameras)
 
@@ -158,18 +183,30 @@ def solve(detections: Sequence[BoardDetection], board: Board, options: Options) 
 def compare_models(
     detections: Sequence[BoardDetection], board: Board, options: Options, models: Sequence[CameraModel]
 ) -> tuple[CandidateModel, ...]:
-    """Return how well lens models predict views, in their order; options.model does not matter.
+    """Return how well lens models predict views, in their order, each with a brief calibration, which takes errors
+    within views for noise; options.model does not matter.
 
     Raises InsufficientData for too few views.
     """
     size, reasons = _usable(detections, board)
     usable = [view for view, reason in zip(detections, reasons, strict=True) if reason is None]
     observations = Observations.of(usable)
+    corners = int(observations.present.sum())
     result = []
     for model in models:
         try:
-            plain, _ = _plain(observations, board, size, replace(options, model=model), brief=True)
-            result.append(candidate_model(model.name, plain))
+            plain, turns = _plain(observations, board, size, replace(options, model=model), brief=True)
+            left_out = influence(plain)
+            scores, sigma = predict_views(plain, left_out)
+            brief = averaged_fit((plain,), WithinViews(1.0), turns, size, [left_out])
+            solved = Solved(brief, tuple(detections), tuple(reasons), size, None)
+            candidate = CandidateModel(model.name, scores, corners, sigma)
+            try:
+                require_plausible(solved, replace(options, model=model))
+                found = record(solved, _pose_covariances(brief), BetweenViews())
+                result.append(replace(candidate, calibration=found))
+            except InsufficientData as error:
+                result.append(replace(candidate, failures=tuple(message.code for message in error.failures)))
         except (SingularError, np.linalg.LinAlgError):
             result.append(CandidateModel(model.name, reason="some parameters are not determined by the views"))
         except (InsufficientData, InvalidInput) as error:

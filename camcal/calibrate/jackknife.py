@@ -15,14 +15,14 @@ cost much, but no more than an outlier does.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy.optimize import minimize_scalar, nnls
 
 from camcal.arrays import Array, FloatArray
 from camcal.calibrate.estimator import Estimate
-from camcal.calibrate.influence import Solution, influence
+from camcal.calibrate.influence import Solution
 from camcal.calibrate.problem import State
 from camcal.geometry import rotation as so3
 
@@ -33,11 +33,6 @@ _FEW = 7.0  # views that hardly show what errors they share
 _DOF = 4.0  # of the Student distribution
 _OUTLIERS, _REACH = 0.01, 20.0  # the share of corners that may be anywhere within so many pixels
 _LEAST_SIGMA, _MOST_SIGMA = 1e-4, 20.0  # px
-# By how much a model must predict better: nats a corner, and standard errors of the difference between views. Than the
-# preferred one by much, or less if that is clearer; than a simpler one by little: a lens that is described badly at the
-# edge of the image costs its few corners there no more.
-GAIN = 0.10
-_MUCH, _LITTLE = ((GAIN, 1.5), (0.02, 2.5)), ((0.005, 1.5),)
 
 
 def image_metric(displacements: Array) -> Array:
@@ -169,58 +164,18 @@ def averaged(states: Sequence[State], weights: Array) -> State:
     )
 
 
-@dataclass(frozen=True, eq=False)
-class CandidateModel:
-    """A lens model and how well it predicts: scores (V,) log likelihoods of the views; sigma_px: the scale of the
-    errors of a coordinate, 0.85 standard deviations of Gaussian ones.
-
-    reason: why it has no score, None if it has.
+def predict_views(plain: Estimate, left_out: Array) -> tuple[FloatArray, float]:
+    """Return how well an estimate predicts the corners that there are: log likelihoods (V,) of the views, and the scale
+    of the errors of a coordinate, px, 0.85 standard deviations of Gaussian ones; left_out: see `influence`.
     """
-
-    name: str
-    scores: FloatArray | None = None
-    corners: int = 0
-    sigma_px: float | None = None
-    reason: str | None = None
-
-    @property
-    def score(self) -> float:
-        """The log likelihood of a corner on average, nat; -inf without one."""
-        return float(self.scores.sum()) / self.corners if self.scores is not None else -np.inf
-
-
-def candidate_model(name: str, plain: Estimate) -> CandidateModel:
-    """Return how well an estimate predicts the corners (V, P) that there are."""
     present = plain.problem.observations.present
-    distances = _left_out(plain)[present]
-    sigma, density = _likeliest(distances)
+    sigma, density = _likeliest(_left_out(plain, left_out)[present])
     scores = np.zeros(present.shape)
     scores[present] = density
-    return CandidateModel(name, scores.sum(axis=1), int(present.sum()), sigma)
+    return scores.sum(axis=1), sigma
 
 
-def chosen(candidates: Sequence[CandidateModel], preferred: str) -> CandidateModel:
-    """Return the candidate to use; candidates: the simplest first.
-
-    The preferred one stays unless the best predicts much better; else the simplest one that the best does not beat.
-    """
-    best = max(candidates, key=lambda own: own.score)
-    first = next((own for own in candidates if own.name == preferred), None)
-    if first is not None and not _beats(best, first, _MUCH):
-        return first
-    return next(own for own in candidates if not _beats(best, own, _LITTLE))
-
-
-def _beats(one: CandidateModel, other: CandidateModel, margins: Sequence[tuple[float, float]]) -> bool:
-    """Return whether a candidate predicts better than another by any of the margins: nats a corner, standard errors."""
-    if one.scores is None or other.scores is None:
-        return one.scores is not None
-    gains = one.scores - other.scores
-    error = float(np.std(gains, ddof=1)) * np.sqrt(len(gains)) if len(gains) > 1 else np.inf
-    return any(gains.sum() > max(least * one.corners, errors * error) for least, errors in margins)
-
-
-def _left_out(plain: Estimate) -> Array:
+def _left_out(plain: Estimate, left_out: Array) -> Array:
     """Return the distances (V, P) px between corners and where the other views predict them; inf where they have no
     image.
     """
@@ -233,7 +188,7 @@ def _left_out(plain: Estimate) -> Array:
     count = len(plain.posterior.shared)
     dense = [part.values for part in block.shared if part.columns.ndim == 1]
     shared = np.concatenate(dense, axis=2).reshape(views, points, 2, -1) if dense else np.zeros((views, points, 2, 0))
-    changes = influence(plain) / np.sqrt((views - 1) / views)
+    changes = left_out / np.sqrt((views - 1) / views)
     assert block.group is not None
     pose = block.group.reshape(views, points, 2, -1)
     moved = np.einsum("vpdk,vk->vpd", shared, changes[:, :count])

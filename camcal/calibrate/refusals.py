@@ -14,7 +14,6 @@ from camcal.calibrate.noise import row_medians
 from camcal.calibrate.problem import BoardProblem, State
 from camcal.calibrate.several_cameras import SMOOTH, TwoCameras, smoothness
 from camcal.calibrate.view_records import names_of, px_words
-from camcal.cameras.catalogue import WIDE_MODEL
 from camcal.errors import InsufficientData
 from camcal.messages import Message, Value
 from camcal.targets.board import Board
@@ -137,16 +136,15 @@ def require_fit(
         raise _refused("wrong_corners", text, {"share": share, "limit": most})
     order = "corner ids are consistent"
     if found.roughness <= _ROUGH and found.smoothness > SMOOTH:
-        text = f"{how}: {order} and residuals vary smoothly, so the lens model ({model}) does not fit: try another"
-        raise _refused("lens_model_does_not_fit", f"{text} --model ({WIDE_MODEL} for wide lenses), or none")
+        text = f"{how}: {order} and residuals vary smoothly, so the lens model ({model}) does not fit"
+        raise _refused("lens_model_does_not_fit", text)
     if found.roughness <= _ROUGH and found.smoothness > 0:
         text = (
             f"{how}: {order} and residuals are random, as in blurred images: use sharper images, and check the corners"
         )
         raise _refused("blurred_images", f"{text} with camcal detect --draw")
     if found.roughness <= _ROUGH:
-        text = f"{how}: {order}, so the lens model ({model}) does not fit, or images are blurred: try another --model"
-        text = f"{text} ({WIDE_MODEL} for wide lenses), or none, and use sharper images"
+        text = f"{how}: {order}, so the lens model ({model}) does not fit, or images are blurred: use sharper images"
         raise _refused("lens_model_or_blur", text)
     text = (
         f"{how}: --board describes another board, several cameras are mixed, or the lens model ({model}) does not fit"
@@ -218,8 +216,9 @@ def require_tilts(rotations: Array) -> None:
     spread = tilt_spread(rotations)
     if spread < _MIN_TILT_SPREAD:
         text = (
-            f"nearly parallel views (board tilts within {np.degrees(spread):.1f}°): focal length and distance are not "
-            "separable; add views tilted by 20° to 45° about both axes, or a known lens with --guess and --fix fx,fy"
+            f"nearly parallel views (board tilts below {np.degrees(_MIN_TILT_SPREAD):.0f}°): focal length and distance "
+            "are not separable; add views tilted by 20° to 45° about both axes, or give a known lens with --guess and "
+            "--fix fx,fy"
         )
         raise _refused("no_tilted_views", text, {"tilt_deg": float(np.degrees(spread))})
 

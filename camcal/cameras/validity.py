@@ -133,7 +133,7 @@ def rim(camera: Camera, per_edge: int = PER_EDGE, circle: ImageCircle | None = N
 
     The second is where the model folds on the way.
     """
-    border, centre = _border(*camera.image_size, per_edge), np.array([camera.value("cx"), camera.value("cy")])
+    border, centre = border_pixels(*camera.image_size, per_edge), np.array([camera.value("cx"), camera.value("cy")])
     border = border if circle is None else circle.clipped(centre, border)
     folded = ~camera.unproject(border).valid
     reach = border[folded] - centre
@@ -149,7 +149,7 @@ def rim(camera: Camera, per_edge: int = PER_EDGE, circle: ImageCircle | None = N
     return farthest, Fold(bool(folded.any()), float(nearest), float(corner))
 
 
-def _border(width: int, height: int, per_edge: int) -> Array:
+def border_pixels(width: int, height: int, per_edge: int = PER_EDGE) -> Array:
     """Return pixels (4 · per_edge, 2) around the image, its corners among them."""
     corners = np.array([[0, 0], [width - 1, 0], [width - 1, height - 1], [0, height - 1]], dtype=float)
     share = np.linspace(0, 1, per_edge, endpoint=False)[:, None]

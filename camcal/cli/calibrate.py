@@ -54,12 +54,12 @@ def _show_calibration(report: "CalibrateReport", options: CalibrateOptions, verb
     from camcal.formats.camera_file import ProjectionStd
     from camcal.report.calibration import CANDIDATE_COLUMNS, candidate_rows, headline, parameter_rows, summary
     from camcal.report.text_figures import calibration_figures, coverage_words, residual_words
-    from camcal.report.uncertain import projection_words
+    from camcal.report.uncertain import projection_words, region_words
 
     calibration, circle = report.calibration, next(iter(report.file.cameras.values())).image_circle
     if report.frames and verbose:
         _show_frames(report.frames, verbose)
-    show.trust(report.assessment.failures)
+    show.trust(report.assessment.failures, region_words(report.assessment.region))
     show.text(headline(calibration))
     show.text(projection_words(ProjectionStd.of(report.uncertainty).figures))
     for line in report.lines:

@@ -75,12 +75,12 @@ def verdict(line: str, *, good: bool | None) -> None:
     _print(lines)
 
 
-def trust(failures: Sequence[Message | str]) -> None:
-    """Print the verdict on a calibration: that it is to be trusted, or why not, a line each."""
+def trust(failures: Sequence[Message | str], where: str = "") -> None:
+    """Print the verdict on a calibration: that it is to be trusted, and where, or why not, a line each."""
     for failure in failures:
         verdict(f"{DO_NOT_TRUST}{failure}", good=False)
     if not failures:
-        verdict(TRUSTWORTHY, good=True)
+        verdict(f"{TRUSTWORTHY}{where}", good=True)
 
 
 def figure(draw: Callable[[int, str | None], Sequence[str]]) -> None:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from camcal.errors import InvalidInput
 from camcal.geometry.frame_graph import FrameGraph
 from camcal.geometry.pose import JOINT, Derived, NamedTransform, Pose, frames_of
 from camcal.messages import Message
-from camcal.quality.projection_uncertainty import ProjectionUncertainty
+from camcal.quality.projection_uncertainty import KnownRegion, ProjectionUncertainty
 from camcal.targets.surface import Surface
 
 STEP = ("tx", "ty", "tz", "rx", "ry", "rz")  # of a pose, the order of its covariance
@@ -75,10 +75,16 @@ class CalibrationNoise:
 
 @dataclass(frozen=True)
 class CalibrationVerdict:
-    """Whether a calibration may be trusted, and why not."""
+    """Whether a calibration may be trusted, why not, and in which part of the image, None where that is not known."""
 
     trustworthy: bool
     reasons: tuple[str, ...] = ()
+    region: KnownRegion | None = None
+
+
+def verdict_of_view(verdict: CalibrationVerdict | None) -> CalibrationVerdict | None:
+    """Return the verdict for a view that is drawn with a camera: its region is one of the camera's own image."""
+    return None if verdict is None else replace(verdict, region=None)
 
 
 @dataclass(frozen=True, eq=False)

@@ -38,6 +38,7 @@ from camcal.formats.camera_file import CalibrationNoise, CalibrationVerdict, Cam
 from camcal.formats.documents import Check, Fault, child
 from camcal.formats.schema import VENDOR, flag, integer, items, mapping, number, one_of, plain, text, unchecked
 from camcal.parsing import did_you_mean, nearest
+from camcal.quality.projection_uncertainty import KnownRegion
 from camcal.targets.surface import CLASSES, CORNER_CLASSES, OFFSETS, TERMS, TIERS, Surface
 
 FIGURES = ("rms_px", "mean_px", "median_px", "p95_px", "max_px", "chi2_per_degree")
@@ -95,6 +96,10 @@ def _model(value: Any, path: str) -> Iterator[Fault]:
     yield from one_of(tuple(MODELS), "model")(value, path)
 
 
+_REGION = mapping(
+    {"limit_px": number(above=0), "share": number(0, 1), "polygon": items(items(number(), 2))},
+    {"of_observed": number(0, 1)},
+)
 _LENS = dict.fromkeys(("distortion", "fixed", "uncertainty"), unchecked)  # `_check_lens` looks at it
 _ENTRY = mapping(
     {"image_size": items(integer(1), 2), "model": _model, "intrinsics": unchecked},
@@ -105,7 +110,7 @@ _ENTRY = mapping(
         "valid": mapping({}, VALID),
         "quality": mapping({}, {**dict.fromkeys(FIGURES, number(0)), **dict.fromkeys(COUNTS, integer(0))}),
         "noise": mapping({"sigma_px": number(0)}, {"degrees_of_freedom": integer(1), "model_error_px": number(0)}),
-        "verdict": mapping({"trustworthy": flag}, {"reasons": items(text)}),
+        "verdict": mapping({"trustworthy": flag}, {"reasons": items(text), "region": _REGION}),
         "sensor": mapping({}, SENSOR),
         "channels": mapping({}, others=mapping({"intrinsics": unchecked}, _LENS)),
     },
@@ -163,7 +168,11 @@ def _read_projection(data: Mapping[str, Any]) -> ProjectionStd:
 
 
 def _read_verdict(data: Mapping[str, Any]) -> CalibrationVerdict:
-    return CalibrationVerdict(data["trustworthy"], tuple(data.get("reasons", ())))
+    region = None
+    if "region" in data:
+        own = data["region"]
+        region = KnownRegion(own["limit_px"], own["share"], own.get("of_observed", 1.0), np.array(own["polygon"]))
+    return CalibrationVerdict(data["trustworthy"], tuple(data.get("reasons", ())), region)
 
 
 def block(entry: CameraEntry, beside: Path) -> dict[str, Any]:
@@ -179,10 +188,15 @@ def block(entry: CameraEntry, beside: Path) -> dict[str, Any]:
     data["valid"] = _valid_block(entry.valid) if entry.valid else None
     data["quality"] = entry.quality or None
     data["noise"] = vars(entry.noise) if entry.noise else None
-    data["verdict"] = vars(entry.verdict) if entry.verdict else None
+    data["verdict"] = _verdict_block(entry.verdict) if entry.verdict else None
     data["sensor"] = entry.sensor or None
     data["channels"] = {name: _lens_block(lens, beside) for name, lens in entry.channels.items()} or None
     return {**data, **entry.extra}
+
+
+def _verdict_block(verdict: CalibrationVerdict) -> dict[str, Any]:
+    region = verdict.region and vars(verdict.region) | {"polygon": verdict.region.polygon.round(2).tolist()}
+    return {"trustworthy": verdict.trustworthy, "reasons": verdict.reasons, "region": region}
 
 
 def _valid_block(valid: ValidRegion) -> dict[str, Any]:

@@ -5,7 +5,7 @@ depend on it.
 """
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -13,29 +13,51 @@ import numpy as np
 from scipy.stats import chi2, norm
 from scipy.stats import t as student
 
-from camcal.arrays import Array
-from camcal.calibrate.intrinsics import Calibration
+from camcal.arrays import Array, FloatArray
+from camcal.calibrate.intrinsics import Calibration, CandidateModel
 from camcal.calibrate.view_records import names_of
 from camcal.cameras.validity import ImageCircle, folds_inside
 from camcal.messages import Message, counted
-from camcal.quality.criteria import CRITERIA, between_views, message
+from camcal.quality.criteria import CRITERIA, KNOWN_PX, between_views, message
+from camcal.quality.projection_uncertainty import (
+    KnownRegion,
+    ProjectionUncertainty,
+    known_region,
+    projection_uncertainty,
+    with_pattern,
+)
 from camcal.targets.board_types import BOARD_TYPES
 
 _CHANCE = 1e-6  # of residuals that follow the radius by so much, if the lens model were right
 # Views: a standard deviation from the scatter of fewer is not well known itself, and counts by the half width of its
 # interval of this probability under Student's distribution, over that under the normal one.
 _FEW_FOR_SCATTER, _INTERVAL = 10, 0.95
+# Failures, and what they explain: what would be said of it beside them would lead astray.
+_OF_VIEWS = ("focal_change", "focal_varies", "two_boards", "motion_blur", "rolling_shutter", "board_bends")
+_EXPLAINED = {
+    "several_cameras": (*_OF_VIEWS, "lens_model", "residual_pattern", "known_region"),
+    "several_cameras_by_name": (*_OF_VIEWS, "lens_model", "residual_pattern", "known_region"),
+    **dict.fromkeys(("focal_length", "focal_length_few_views", "not_invertible", "lens_model"), ("known_region",)),
+    "parallel_views": ("known_region", "focal_length", "focal_length_few_views"),
+    "board_scale": ("board_size",),
+}
 _MOSTLY = 0.5  # of a view's corners
+_BOARD_LENGTHS = (1e-3, CRITERIA["board_scale"].limit)  # m, between targets of microscopes and sides of buildings
 _CELLS = (10, 8)
 _RINGS = 8
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Assessment:
-    """failures: why a calibration must not be trusted (none: it may be). warnings: what is weak about it."""
+    """failures: why a calibration must not be trusted (none: it may be, within the region). warnings: what is weak.
+
+    uncertainty: of projections, what the residuals say against the lens model included.
+    """
 
     failures: tuple[Message, ...]
     warnings: tuple[Message, ...]
+    uncertainty: ProjectionUncertainty
+    region: KnownRegion
 
     @property
     def messages(self) -> tuple[Message, ...]:
@@ -47,28 +69,43 @@ class Assessment:
         return not self.failures
 
 
-def assess(calibration: Calibration, circle: ImageCircle | None = None) -> Assessment:
+def assess(
+    calibration: Calibration, circle: ImageCircle | None = None, candidates: Sequence[CandidateModel] = ()
+) -> Assessment:
     """Return the failures and warnings of a calibration by all criteria.
 
-    circle: the image circle, where there is one: the lens is not assessed outside of it.
+    circle: the image circle, where there is one: the lens is not assessed outside of it. candidates: other lens models
+    that were tried, which are named where the one in use does not do.
     """
+    camera, trend = calibration.camera, radial_trend(calibration)
+    uncertainty = projection_uncertainty(camera, observed=calibration.pixels, circle=circle)
+    stated_px = uncertainty.figures().get("inside_rms_px", 0.0)
+    if trend.chance < _CHANCE:
+        uncertainty = with_pattern(uncertainty, _centre(calibration), trend.radii, trend.means)
+    region = known_region(uncertainty, KNOWN_PX / _few_views_factor(len(calibration.used)))
+    others = other_models(camera.model.name, candidates)
     parts = (
-        partial(_fold, circle=circle),
+        partial(_fold, circle=circle, others=others),
         _cameras,
-        _lens_model,
+        partial(_lens_model, trend=trend, stated_px=stated_px, others=others),
         _focal_length,
         _views,
         partial(_coverage, circle=circle),
         _noise,
         _within_views,
-        between_views,
+        partial(between_views, stated_px=stated_px),
         _plausible,
         _board,
+        lambda _: _region(region, others),
     )
     found = [message for part in parts for message in part(calibration)]
+    explained = {code for message in found for code in _EXPLAINED.get(message.code, ())}
+    found = [message for message in found if message.code not in explained]
     return Assessment(
         failures=tuple(message for message in found if CRITERIA[message.code].failure),
         warnings=tuple(message for message in found if not CRITERIA[message.code].failure),
+        uncertainty=uncertainty,
+        region=region,
     )
 
 
@@ -76,7 +113,20 @@ def _limit(code: str) -> float:
     return CRITERIA[code].limit
 
 
-def _fold(calibration: Calibration, circle: ImageCircle | None) -> Iterator[Message]:
+def other_models(used: str, candidates: Sequence[CandidateModel]) -> str:
+    """Return what to do about the lens model: one that passes, or that none of those that were tried does, or "" where
+    none was tried.
+    """
+    others = [own for own in candidates if own.name != used and own.scores is not None]
+    passing = [own for own in others if not own.failures]
+    if passing:
+        best = max(passing, key=lambda own: own.score)
+        return f"use --model {best.name}, which passes all checks in a brief calibration"
+    names = ", ".join(own.name for own in others)
+    return f"none of {names} passes all checks either: add views with the board all over the image" if names else ""
+
+
+def _fold(calibration: Calibration, circle: ImageCircle | None, others: str) -> Iterator[Message]:
     fold = folds_inside(calibration.camera, circle)
     if not fold.folds or fold.radius_px >= _limit("partly_invertible") * fold.corner_px:
         return
@@ -85,7 +135,7 @@ def _fold(calibration: Calibration, circle: ImageCircle | None) -> Iterator[Mess
     end = "image corner" if circle is None else "end of the image circle"
     where = f"beyond {fold.radius_px:.0f} px from the centre; the {end} is at {fold.corner_px:.0f} px"
     if fold.radius_px < _limit("not_invertible") * outermost:
-        text = f"distortion is not invertible {where}: use fewer coefficients or cover the corners"
+        text = f"distortion is not invertible {where}: {others or 'add views with the board in the image corners'}"
         yield message("not_invertible", text, fold.radius_px / outermost)
     else:
         text = f"distortion is not invertible {where}: pixels there are masked; add views with the board there"
@@ -104,17 +154,31 @@ def _cameras(calibration: Calibration) -> Iterator[Message]:
         yield message(code, f"{found.words}{together}", found.ratio, found.groups[1])
 
 
-def _lens_model(calibration: Calibration) -> Iterator[Message]:
-    trend, name = radial_trend(calibration), calibration.camera.model.name
-    least = max(_limit("lens_model") * calibration.sigma_px, CRITERIA["lens_model"].minimum_px)
-    if trend.chance < _CHANCE and abs(trend.largest_px) > least:
-        way = "outwards" if trend.largest_px > 0 else "inwards"
-        others = [other for other in ("opencv8", "kannala_brandt4", "kannala_brandt5t") if other != name]
+def _lens_model(calibration: Calibration, trend: "Trend", stated_px: float, others: str) -> Iterator[Message]:
+    """Yield that residuals depend on the distance from the centre: a failure where that is more than the uncertainty of
+    the map says, else a warning.
+    """
+    name, size = calibration.camera.model.name, abs(trend.largest_px)
+    least = max(_limit("residual_pattern") * calibration.sigma_px, CRITERIA["residual_pattern"].minimum_px)
+    if trend.chance >= _CHANCE or size <= least:
+        return
+    way = "outwards" if trend.largest_px > 0 else "inwards"
+    text = f"residuals point {way} by {size:.2f} px at {trend.ring[0]:.0f} to {trend.ring[1]:.0f} px from the centre: "
+    if size > max(_limit("lens_model") * stated_px, CRITERIA["lens_model"].minimum_px):
+        text += f"{name} does not fit this lens" + (f"; {others}" if others else ", try another --model")
+        yield message("lens_model", text, size / stated_px if stated_px else np.inf)
+    else:
+        yield message("residual_pattern", f"{text}included in the projection uncertainty", size / calibration.sigma_px)
+
+
+def _region(region: KnownRegion, others: str) -> Iterator[Message]:
+    if region.of_observed < _limit("known_region"):
         text = (
-            f"residuals point {way} by {abs(trend.largest_px):.2f} px at {trend.ring[0]:.0f} to {trend.ring[1]:.0f} px "
-            f"from the centre: {name} does not fit this lens; try --model {' or '.join(others)}"
+            f"projections are known to {region.limit_px:.2g} px in {100 * region.of_observed:.0f} % of the area with "
+            f"corners (limit {100 * _limit('known_region'):.0f} %): "
         )
-        yield message("lens_model", text, abs(trend.largest_px) / calibration.sigma_px)
+        text += others if others.startswith("use") else "add views tilted by 20° to 45° about both axes"
+        yield message("known_region", text, region.of_observed)
 
 
 def _focal_length(calibration: Calibration) -> Iterator[Message]:
@@ -122,7 +186,8 @@ def _focal_length(calibration: Calibration) -> Iterator[Message]:
     share = max((camera.std(name) or 0.0) / camera.value(name) for name in ("fx", "fy"))
     count, code, why = len(calibration.used), "focal_length", ""
     if count < _FEW_FOR_SCATTER:
-        share, code, why = share * _few_views_factor(count), "focal_length_few_views", f" with {count} views"
+        factor, code = _few_views_factor(count), "focal_length_few_views"
+        share, why = factor * share, f", {factor:.2g} x that of the fit as there are only {count} views"
     if share > _limit(code):
         known = f"standard deviation of the focal length {100 * share:.1f} %{why}"
         text = f"{known}: add views tilted by 20° to 45° about both axes"
@@ -130,7 +195,9 @@ def _focal_length(calibration: Calibration) -> Iterator[Message]:
 
 
 def _few_views_factor(count: int) -> float:
-    """Return by how much wider an interval is where the standard deviation is from so many views."""
+    """Return by how much wider an interval is where the standard deviation is from so many views, 1 for many."""
+    if count >= _FEW_FOR_SCATTER:
+        return 1.0
     quantile = (1 + _INTERVAL) / 2
     return float(student.ppf(quantile, max(count - 1, 1)) / norm.ppf(quantile))
 
@@ -193,6 +260,10 @@ def _within_views(calibration: Calibration) -> Iterator[Message]:
 
 def _plausible(calibration: Calibration) -> Iterator[Message]:
     camera, board = calibration.camera, calibration.board
+    least, most = _BOARD_LENGTHS
+    if board.unit == "m" and not least < max(board.extent) < most:
+        text = f"board length {max(board.extent):.3g} m: give the size of its squares with a unit, such as 25mm"
+        yield message("board_scale", text, max(board.extent))
     if board.unit == "m" and max(board.extent) > _limit("board_size"):
         text = f"board length {max(board.extent):.3g} m: give --board with a unit, such as 25mm"
         yield message("board_size", text, max(board.extent))
@@ -244,15 +315,17 @@ class Coverage:
     reach: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Trend:
     """Mean radial residual (px, outwards positive) in the ring where it is largest, and the chance of such a pattern
-    if the lens model were right.
+    if the lens model were right; means (R,) px: those of all rings, at radii (R,) px.
     """
 
     largest_px: float
     ring: tuple[float, float]
     chance: float
+    radii: FloatArray
+    means: FloatArray
 
 
 def coverage(calibration: Calibration, circle: ImageCircle | None = None) -> Coverage:
@@ -285,7 +358,13 @@ def radial_trend(calibration: Calibration) -> Trend:
     per_view = max(len(radius) / max(len(calibration.used), 1) / _RINGS, 1.0)
     statistic = float(np.sum(means**2 * counts / per_view)) / calibration.sigma_px**2
     worst = int(np.argmax(np.abs(means)))
-    return Trend(float(means[worst]), (float(edges[worst]), float(edges[worst + 1])), float(chi2.sf(statistic, _RINGS)))
+    return Trend(
+        float(means[worst]),
+        (float(edges[worst]), float(edges[worst + 1])),
+        float(chi2.sf(statistic, _RINGS)),
+        radii=(edges[:-1] + edges[1:]) / 2,
+        means=means,
+    )
 
 
 def _centre(calibration: Calibration) -> Array:

@@ -4,6 +4,7 @@ A failure makes a result untrustworthy; a warning says what is weak but usable. 
 focal length, board and sharpness that are not the same in all of them.
 """
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -18,6 +19,9 @@ from camcal.messages import Message, Value
 _SETS = "24 real sets, halves of them, and simulations"
 _RULE = "usual practice"
 _FOCALS = ("fx", "fy")
+# Standard deviations of the map, and px: a change of the focal length that moves corners by less, RMS, is what these
+# state, or does not matter.
+_STATED, _LEAST_MOVED_PX = 3.0, 0.3
 
 
 @dataclass(frozen=True)
@@ -49,11 +53,21 @@ _ALL = (
     Criterion(
         "lens_model",
         True,
-        0.3,
-        "noise",
-        "the mean radial residual of a ring about the principal point exceeds this, with a significance of 1e-6",
+        3.0,
+        "projection uncertainty",
+        "the mean radial residual of a ring about the principal point exceeds this (RMS where corners were seen), with "
+        "a significance of 1e-6",
         _SETS,
-        minimum_px=0.02,
+        minimum_px=0.3,
+    ),
+    Criterion(
+        "known_region",
+        True,
+        0.5,
+        "area with corners",
+        "the share of it where the projection uncertainty is below 1 px in any direction (less by the ratio of "
+        "Student's and the normal distribution with fewer than 10 views)",
+        _SETS,
     ),
     Criterion("focal_length", True, 0.01, "focal length", "the standard deviation of the focal length", _SETS),
     Criterion(
@@ -89,10 +103,9 @@ _ALL = (
         True,
         3.6,
         "standard deviations",
-        "significance of a step or drift of the focal length between views; the change at the image corner has a "
-        "minimum as well",
+        "significance of a step or drift of the focal length between views, where half of it moves corners by more "
+        "than 3 standard deviations of the projection uncertainty and 0.3 px (RMS)",
         _SETS,
-        minimum_px=0.5,
     ),
     Criterion(
         "parallel_views",
@@ -109,6 +122,15 @@ _ALL = (
         "distance to the image corner",
         "the distortion is invertible to less than this distance, but beyond all corners; pixels there are masked",
         _SETS,
+    ),
+    Criterion(
+        "residual_pattern",
+        False,
+        0.3,
+        "noise",
+        "the same as lens_model, less than the projection uncertainty allows: included in it",
+        _SETS,
+        minimum_px=0.02,
     ),
     Criterion("few_views", False, 10, "views", "fewer views than this", _RULE),
     Criterion("tilt", False, 15, "degrees", "the board was never tilted by more than this", _RULE),
@@ -163,6 +185,7 @@ _ALL = (
         _SETS,
         minimum_px=0.1,
     ),
+    Criterion("board_scale", True, 30.0, "m", "the longer side of the board is longer, or shorter than 1 mm", _RULE),
     Criterion("board_size", False, 3.0, "m", "the longer side of the board (given in mm?)", _RULE),
     Criterion("focal_ratio", False, 0.05, "ratio", "the relative difference of fx and fy (pixels not square?)", _RULE),
     Criterion(
@@ -177,6 +200,7 @@ _ALL = (
     Criterion("bent_board", False, 0.002, "board's longer side", "the deflection of the board, if significant", _RULE),
     Criterion("correlation", False, 0.9, "", "the correlation of a scale of the board and a focal length", _RULE),
 )
+KNOWN_PX = 1.0  # standard deviation of a projection, in any direction, below which it is known
 CRITERIA = {criterion.code: criterion for criterion in _ALL}
 
 
@@ -191,10 +215,12 @@ def message(code: str, text: str, value: float, images: Sequence[str] = ()) -> M
     return Message(code, text, values | ({"images": tuple(images)} if images else {}))
 
 
-def between_views(calibration: Calibration) -> Iterator[Message]:
-    """Yield what differs between views and ought to be the same, and whether the views are nearly parallel."""
+def between_views(calibration: Calibration, stated_px: float) -> Iterator[Message]:
+    """Yield what differs between views and ought to be the same, and whether the views are nearly parallel; stated_px:
+    RMS standard deviation of projections where corners were seen.
+    """
     ratio = calibration.between_views.proportions
-    for clear, focal in _focal_length(calibration):
+    for clear, focal in _focal_length(calibration, stated_px):
         # a board of other proportions resembles another focal length, which is less clear then
         if not _beyond("two_boards", ratio.clear) or clear > ratio.clear:
             yield focal
@@ -207,18 +233,24 @@ def _beyond(code: str, clear: float, px: float = np.inf) -> bool:
     return clear > CRITERIA[code].limit and px > CRITERIA[code].minimum_px
 
 
-def _focal_length(calibration: Calibration) -> Iterator[tuple[float, Message]]:
+def _focal_length(calibration: Calibration, stated_px: float) -> Iterator[tuple[float, Message]]:
     """Yield how clear a change of the focal length is, and the message about it."""
     found = calibration.between_views
     corner_px = float(np.hypot(*calibration.camera.image_size)) / 2
+    offsets = calibration.pixels - [calibration.camera.value("cx"), calibration.camera.value("cy")]
+    radius_px = float(np.sqrt(np.mean(np.sum(offsets**2, axis=1))))
 
     def applies(code: str, change: Change) -> bool:
         return _beyond(code, change.clear, abs(change.share) * corner_px)
 
+    def moves_the_map(change: Change) -> bool:
+        # the lens lies between those of the views, half the change from each
+        return abs(change.share) / 2 * radius_px > max(_STATED * math.sqrt(2) * stated_px, _LEAST_MOVED_PX)
+
     step, drift, views, unordered = found.step, found.drift, found.outlying, found.unordered
     change = max(step, drift, key=lambda change: change.clear)
     words = _drift_words(drift) if change is drift else _step_words(found, step)
-    if applies("focal_change", change):
+    if applies("focal_change", change) and moves_the_map(change):
         yield change.clear, message("focal_change", f"the focal length {words}", change.clear, change.images)
     elif applies("focal_varies", views) and views.clear > change.clear:
         text = (

@@ -4,18 +4,19 @@ A camera's own axes are a choice of its calibration: a rotation of all direction
 what the camera measures. The rotation that best undoes a change of the parameters is therefore taken out.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from camcal.arrays import Array, BoolArray, FloatArray, readonly
 from camcal.cameras.directions import direction_displacements, in_hull
 from camcal.cameras.model import Camera
-from camcal.cameras.validity import ImageCircle
+from camcal.cameras.validity import ImageCircle, border_pixels
 from camcal.errors import InvalidInput
 from camcal.messages import Message
 
 GRID = (31, 23)
+_STEPS = 200  # of the way from the middle of a region to the border of the image
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,6 +71,78 @@ class ProjectionUncertainty:
                 found[f"{part}rms_px"] = float(np.sqrt(np.mean(self.std_rms[chosen] ** 2)))
                 found[f"{part}worst_px"] = float(self.std_worst[chosen].max())
         return found
+
+
+@dataclass(frozen=True, eq=False)
+class KnownRegion:
+    """The part of an image in which projections are known: their standard deviation is below limit_px in any direction.
+
+    share: of the image, or of its image circle; of_observed: of the part where corners were seen, 1 where that is not
+    known. polygon: (N, 2) px around it, none of whose sides is hidden from its middle; empty if there is no such part.
+    """
+
+    limit_px: float
+    share: float
+    of_observed: float
+    polygon: FloatArray
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "polygon", readonly(self.polygon, (None, 2), "polygon"))
+
+
+def known_region(found: ProjectionUncertainty, limit_px: float) -> KnownRegion:
+    """Return the part of the image in which a projection is known to `limit_px`, around the middle of the corners, or
+    of all pixels that are known where nothing is known there.
+    """
+    pixels, lit = found.pixels, np.isfinite(found.std_worst)
+    std = np.where(lit, found.std_worst, np.inf)
+    known, seen = std <= limit_px, lit if found.inside is None else found.inside
+    if not known.any():
+        return KnownRegion(limit_px, 0.0, 0.0, np.zeros((0, 2)))
+    nearest = np.where(
+        known, np.linalg.norm(pixels - pixels[seen if seen.any() else known].mean(axis=0), axis=1), np.inf
+    )
+    middle = pixels[np.argmin(nearest)]
+    border = border_pixels(int(found.u[-1]) + 1, int(found.v[-1]) + 1)
+    shares = np.linspace(0, 1, _STEPS + 1)
+    way = middle + shares[:, None, None] * (border - middle)
+    reached = np.logical_and.accumulate(_interpolate(found, std, way) <= limit_px, axis=0)
+    polygon = middle + shares[reached.sum(axis=0) - 1, None] * (border - middle)
+    inside = in_polygon(pixels, polygon) & known
+    return KnownRegion(
+        limit_px, float(inside.sum() / lit.sum()), float(inside[seen].mean()) if seen.any() else 1.0, polygon
+    )
+
+
+def _interpolate(found: ProjectionUncertainty, values: Array, pixels: Array) -> Array:
+    """Return values of the grid (N,) at pixels (..., 2), linear between those of the grid, large near infinite ones."""
+    from scipy.interpolate import RegularGridInterpolator
+
+    table = np.minimum(values, 1e9).reshape(len(found.v), len(found.u))
+    return np.asarray(RegularGridInterpolator((found.v, found.u), table)(pixels[..., ::-1]))
+
+
+def in_polygon(pixels: Array, polygon: Array) -> BoolArray:
+    """Return which pixels (N, 2) lie within a polygon (M, 2) or on its sides, to 1e-6 px; none if it is empty."""
+    starts, ends = polygon, np.roll(polygon, -1, axis=0)
+    sides, apart = ends - starts, pixels[:, None] - starts
+    above = (starts[:, 1] > pixels[:, None, 1]) != (ends[:, 1] > pixels[:, None, 1])
+    across = sides[:, 0] * apart[..., 1] - sides[:, 1] * apart[..., 0]
+    crossed = above & ((across < 0) == (sides[:, 1] > 0))
+    squares = np.maximum((sides**2).sum(axis=1), 1e-300)
+    along = np.clip((apart * sides).sum(axis=2) / squares, 0, 1)
+    on_side = (np.linalg.norm(apart - along[..., None] * sides, axis=2) < 1e-6).any(axis=1)
+    return np.asarray(on_side | (crossed.sum(axis=1) % 2 == 1))
+
+
+def with_pattern(found: ProjectionUncertainty, centre: Array, radii: Array, radial_px: Array) -> ProjectionUncertainty:
+    """Return the uncertainty with residuals that depend on the distance from the centre (2,) added to it: their means
+    (R,) px, outwards, at radii (R,) px; beyond the last one they are as large as there.
+    """
+    outwards = found.pixels - centre
+    distance = np.linalg.norm(outwards, axis=1)
+    bias = (np.interp(distance, radii, radial_px) / np.maximum(distance, 1e-9))[:, None] * outwards
+    return replace(found, covariances=found.covariances + bias[:, :, None] * bias[:, None])
 
 
 def too_uncertain(found: ProjectionUncertainty, most: float | None) -> tuple[Message, ...]:

@@ -5,8 +5,7 @@ from dataclasses import replace
 from typing import Any
 
 from camcal.arrays import Array
-from camcal.calibrate.intrinsics import Calibration, View
-from camcal.calibrate.jackknife import CandidateModel
+from camcal.calibrate.intrinsics import Calibration, CandidateModel, View
 from camcal.formats import boards
 from camcal.messages import counted
 from camcal.quality.projection_uncertainty import ProjectionUncertainty
@@ -16,8 +15,9 @@ from camcal.targets.surface import RATIOS
 
 CANDIDATE_COLUMNS = (
     Column("lens model"),
-    Column("nat per corner"),
+    Column("log likelihood per corner"),
     Column("prediction error", "px"),
+    Column("uncertainty over the image", "px"),
     Column("reason", wraps=True),
 )
 _SHOWN = 2.0  # standard deviations: less of a board's shape is not worth a line
@@ -40,14 +40,17 @@ def headline(calibration: Calibration) -> str:
 
 
 def candidate_rows(candidates: Sequence[CandidateModel]) -> list[list[str]]:
-    """Return name, score below the best, prediction error and what went wrong of lens models, the best first."""
+    """Return name, score below the best, prediction error, uncertainty and what went wrong of lens models, the best
+    first.
+    """
     best = max(own.score for own in candidates)
     return [
         [
             own.name,
             f"{own.score - best:.3f}" if own.scores is not None else "",
             f"{own.sigma_px:.3f}" if own.sigma_px is not None else "",
-            own.reason or "",
+            f"{own.map_px:.2g}" if own.map_px is not None else "",
+            own.reason or ", ".join(own.failures),
         ]
         for own in sorted(candidates, key=lambda own: -own.score)
     ]
@@ -60,6 +63,8 @@ def candidates_data(candidates: Sequence[CandidateModel]) -> list[dict[str, Any]
             "model": own.name,
             "nat_per_corner": own.score if own.scores is not None else None,
             "prediction_error_px": own.sigma_px,
+            "uncertainty_px": own.map_px,
+            "failures": list(own.failures),
             "reason": own.reason,
         }
         for own in candidates
@@ -92,7 +97,7 @@ def _noise_lines(calibration: Calibration) -> list[str]:
         return []
     images = max(calibration.sigma_px**2 - model_error**2, 0.0) ** 0.5
     parts = f"{images:.3f} corner detection, {model_error:.3f} board and lens model"
-    return [f"Residual noise {calibration.sigma_px:.3f} px: {parts}"]
+    return [f"Noise {calibration.sigma_px:.3f} px: {parts}"]
 
 
 def _within_views_lines(calibration: Calibration) -> list[str]:

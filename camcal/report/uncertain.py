@@ -5,9 +5,11 @@ from math import floor, isfinite, log10
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:  # tables are shown by commands that import nothing heavy
+    from camcal.quality.projection_uncertainty import KnownRegion
     from camcal.targets.board import Board
 
 _FIGURES = {"rms": "RMS", "max": "worst", "centre": "centre", "median": "median", "p95": "95th percentile"}
+_WHOLE = 0.995  # share of an image that is called all of it
 _LEAST, _MOST = 1e-6, 1e5  # standard deviations outside of these are written with an exponent
 
 
@@ -72,6 +74,13 @@ def projection_words(figures: Mapping[str, float], range_m: float | None = None)
     parts = [image] if image else []
     parts += [f"where corners were seen: {inside}"] if inside else []
     return f"Projection uncertainty (1 sigma, {distance}): {'; '.join(parts)}"
+
+
+def region_words(region: "KnownRegion | None") -> str:
+    """Return what limits a verdict to a part of the image, "" where it holds for all of it or that is not known."""
+    if region is None or region.share > _WHOLE:
+        return ""
+    return f" in {100 * region.share:.0f} % of the image (projection uncertainty up to {region.limit_px:.2g} px)"
 
 
 def _two_digits(value: float) -> str:

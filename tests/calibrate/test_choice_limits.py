@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from camcal.calibrate import jackknife
-from camcal.calibrate.jackknife import CandidateModel, chosen
+from camcal.calibrate.intrinsics import CandidateModel
+from camcal.quality.lens_choice import chosen
 
 
 def test_prediction_errors_have_a_scale_of_at_most_20_px():

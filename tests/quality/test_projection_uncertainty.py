@@ -2,8 +2,11 @@
 
 from types import SimpleNamespace
 
+import cv2
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from camcal.cameras.catalogue import MODELS, model_named
 from camcal.cameras.model import Camera
@@ -11,7 +14,13 @@ from camcal.cameras.validity import ImageCircle
 from camcal.errors import InvalidInput
 from camcal.geometry import rotation as so3
 from camcal.quality.assess import coverage
-from camcal.quality.projection_uncertainty import projection_uncertainty
+from camcal.quality.projection_uncertainty import (
+    ProjectionUncertainty,
+    in_polygon,
+    known_region,
+    projection_uncertainty,
+    with_pattern,
+)
 
 SIZE = (1280, 960)
 PARAMETERS = np.array([800.0, 802.0, 645.0, 474.0, -0.12, 0.06, 5e-4, -3e-4, 0.01])
@@ -154,3 +163,77 @@ def test_a_cell_of_the_grid_ends_where_its_last_pixel_does(x, cells):
     """Pixel 0 reaches from -0.5 to 0.5: a tenth of 1280 pixels ends at 127.5."""
     pixels = np.array([[100.0, 50.0], [x, 50.0]])
     assert coverage(SimpleNamespace(camera=opencv5(), pixels=pixels)).cells == cells / 80
+
+
+# region
+
+
+def map_of(std_px, inside=None):
+    """An uncertainty map of 1280 x 960 px, standard deviations (23, 31) px the same in all directions."""
+    u, v = np.linspace(0, 1279, 31), np.linspace(0, 959, 23)
+    std = np.broadcast_to(std_px(*np.meshgrid(u, v)) if callable(std_px) else std_px, (23, 31)).reshape(-1)
+    return ProjectionUncertainty(u, v, std[:, None, None] ** 2 * np.eye(2), inside)
+
+
+def from_middle(u, v):
+    return np.hypot(u - 639.5, v - 479.5)
+
+
+@pytest.mark.parametrize(("limit", "share"), [(0.5, 0.0), (0.99, 0.0), (1.01, 1.0), (2.0, 1.0)])
+def test_a_map_is_known_where_its_standard_deviation_is_below_the_limit(limit, share):
+    found = known_region(map_of(1.0), limit)
+    assert (found.share, found.of_observed, found.limit_px) == (share, share, limit)
+    if share:
+        low, high = found.polygon.min(axis=0), found.polygon.max(axis=0)
+        np.testing.assert_allclose([low, high], [[0, 0], [1279, 959]], atol=1e-9)
+
+
+def test_the_polygon_is_where_the_standard_deviation_reaches_the_limit():
+    found = known_region(map_of(lambda u, v: from_middle(u, v) / 300), 1.0)
+    distances = from_middle(*found.polygon.T)
+    np.testing.assert_allclose(distances, 300, rtol=0.03)  # linear between pixels 43 px apart, 200 steps on the way
+    pixels = map_of(1.0).pixels
+    assert found.share == pytest.approx(np.mean(from_middle(*pixels.T) < 300), rel=0.05)
+
+
+def test_what_is_known_on_the_other_side_of_what_is_not_does_not_belong_to_the_region():
+    gap = known_region(map_of(lambda u, v: np.where(np.abs(from_middle(u, v) - 350) < 60, 9.0, 0.1)), 1.0)
+    assert from_middle(*gap.polygon.T).max() < 300
+
+
+def test_the_region_is_around_the_corners_and_its_share_is_of_the_area_with_corners():
+    inside = (np.meshgrid(np.linspace(0, 1279, 31), np.zeros(23))[0] < 640).ravel()
+    known = map_of(lambda u, v: np.where(u < 330, 0.1, 9.0) + 0 * v, inside)
+    found = known_region(known, 1.0)
+    assert found.of_observed == pytest.approx(0.5, abs=0.08)  # one column of the grid less
+    assert found.share == pytest.approx(0.26, abs=0.04)
+    nowhere = known_region(map_of(9.0, inside), 1.0)
+    assert (nowhere.share, nowhere.of_observed, len(nowhere.polygon)) == (0.0, 0.0, 0)
+
+
+def test_pixels_without_a_ray_are_in_no_region_and_no_share():
+    found = known_region(map_of(lambda u, v: np.where(from_middle(u, v) < 400, 0.1, np.nan)), 1.0)
+    assert 0.8 < found.share < 1  # not those beside them
+    assert from_middle(*found.polygon.T).max() < 430
+
+
+@given(st.integers(0, 10**6), st.integers(3, 30))
+def test_pixels_in_a_polygon_are_those_of_opencv(seed, corners):
+    rng = np.random.default_rng(seed)
+    angles = np.sort(rng.uniform(0, 2 * np.pi, corners))
+    polygon = 100 + rng.uniform(5, 60, corners)[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    pixels = rng.uniform(20, 180, (60, 2))
+    sides = polygon.astype(np.float32)
+    expected = [cv2.pointPolygonTest(sides[:, None], tuple(map(float, pixel)), True) for pixel in pixels]
+    clear = np.abs(expected) > 1e-3  # OpenCV has 32 bits
+    assert np.array_equal(in_polygon(pixels, polygon)[clear], np.array(expected)[clear] > 0)
+    assert in_polygon(polygon, polygon).all()
+    assert not in_polygon(pixels, np.zeros((0, 2))).any()
+
+
+def test_residuals_that_depend_on_the_radius_are_added_along_it():
+    found = with_pattern(map_of(0.3), np.array([639.5, 479.5]), np.array([100.0, 300.0]), np.array([0.0, 0.4]))
+    right = int(np.argmin(np.hypot(*(found.pixels - [1279, 479.5]).T)))
+    np.testing.assert_allclose(found.covariances[right], [[0.09 + 0.16, 0], [0, 0.09]], atol=1e-12)
+    middle = int(np.argmin(np.hypot(*(found.pixels - [639.5, 479.5]).T)))
+    np.testing.assert_allclose(found.covariances[middle], 0.09 * np.eye(2), atol=1e-12)

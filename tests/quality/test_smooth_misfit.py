@@ -25,7 +25,7 @@ CAMERAS = {
     ("smoothness", "words"),
     [
         (1.75, "and residuals are random, as in blurred images: use sharper images, and check the corners"),
-        (1.85, r"and residuals vary smoothly, so the lens model \(opencv5\) does not fit: try another --model"),
+        (1.85, r"and residuals vary smoothly, so the lens model \(opencv5\) does not fit"),
     ],
 )
 def test_smooth_errors_are_the_lens_models_and_random_ones_those_of_images(smoothness, words):

@@ -12,7 +12,7 @@ from matplotlib.quiver import Quiver
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
 from camcal.calibrate import intrinsics
-from camcal.calibrate.jackknife import CandidateModel
+from camcal.calibrate.intrinsics import CandidateModel
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.cameras.validity import ImageCircle

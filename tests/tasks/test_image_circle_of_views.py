@@ -4,24 +4,23 @@ How well the circle itself is found is tested in tests/images and tests/real.
 """
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import cv2
 import numpy as np
 import pytest
 
-from camcal.calibrate.intrinsics import Options
-from camcal.calibrate.jackknife import CandidateModel
+from camcal.calibrate import intrinsics
+from camcal.calibrate.intrinsics import CandidateModel, Options
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.cameras.validity import ImageCircle, folds_inside
 from camcal.formats import detections, native
 from camcal.formats.camera_file import CameraEntry, CameraFile, ValidRegion
+from camcal.quality.lens_choice import judge, ranked
 from camcal.raw.options import AS_IMAGES
 from camcal.simulate.scene import observe, views
 from camcal.targets.board import Board
 from camcal.targets.detection import BoardDetection, Detections
-from camcal.tasks.calibration import model_selection
 from camcal.tasks.calibration.calibrate import calibrate
 from camcal.tasks.calibration.detect import detect_images, document
 from camcal.tasks.calibration.image_circle_of_views import known_circle, with_circle
@@ -137,6 +136,15 @@ def corners():
     return Detections(board, tuple(kept))
 
 
+@pytest.fixture(scope="module")
+def good():
+    """A calibration that passes."""
+    camera = Camera(model_named("opencv5"), (1600, 1200), np.array([1200.0, 1200, 799.5, 599.5, *[0.0] * 5]))
+    board, rng = Board("chessboard", 9, 6, 0.040), np.random.default_rng(1)
+    seen, _ = observe(camera, board, views(camera, board, 15, rng=rng), rng=rng, noise_px=0.1)
+    return intrinsics.calibrate(seen.views, board, Options(camera.model))
+
+
 def circle_in_file(corners, tmp_path, circles, guess=None):
     table = tmp_path / "table.csv"
     detections.write(table, Detections(corners.board, corners.views, circles))
@@ -161,33 +169,23 @@ def test_calibrate_takes_the_circle_of_the_table_or_else_of_the_guess(corners, t
 
 
 @pytest.mark.parametrize(("share", "taken"), [(0.98, "opencv5"), (1.02, "kannala_brandt4")])
-def test_a_fold_outside_of_the_circle_is_no_reason_for_another_lens_model(monkeypatch, share, taken):
-    size, centre = (1600, 1200), (799.5, 599.5)
-    lenses = {
+def test_a_fold_outside_of_the_circle_is_no_reason_for_another_lens_model(good, share, taken):
+    size, centre = good.camera.image_size, (799.5, 599.5)
+    values = {
         "opencv5": [1200.0, 1200, *centre, -0.5, 0, 0, 0, 0],
-        "kannala_brandt4": [1200.0, 1200, *centre, 0, 0, 0, 0],
+        "kannala_brandt4": [1200.0, 1200, *centre, *[0] * 4],
     }
-    corners = np.array([[0.0, 0.0], [1599.0, 0.0], [1599.0, 1199.0], [0.0, 1199.0]])
-    made = {
-        name: SimpleNamespace(
-            camera=Camera(model_named(name), size, np.array(values), np.zeros((len(values),) * 2)), pixels=corners
-        )
-        for name, values in lenses.items()
+    cameras = {
+        name: Camera(model_named(name), size, np.array(own), np.diag([0.25] * 2 + [0.0] * (len(own) - 2)))
+        for name, own in values.items()
     }
-    scores = {"opencv5": 2.0, "kannala_brandt4": 1.95}
-    monkeypatch.setattr(
-        model_selection,
-        "compare_models",
-        lambda _views, _board, _options, models: tuple(
-            CandidateModel(model.name, np.full(5, 10 * scores.get(model.name, 0.0)), 50, 0.1) for model in models
-        ),
-    )
-    monkeypatch.setattr(
-        model_selection.intrinsics, "calibrate", lambda _views, _board, options: made[options.model.name]
-    )
-    circle = ImageCircle(size, centre, share * folds_inside(made["opencv5"].camera).radius_px)
-    found = model_selection.select([], None, Options(model_named("opencv5")), circle)
-    assert found.calibration is made[taken]
+    scores = {"opencv5": 2.0, "kannala_brandt4": 1.99}
+    candidates = [
+        CandidateModel(name, np.full(5, 10 * score), 50, 0.1, calibration=replace(good, camera=cameras[name]))
+        for name, score in scores.items()
+    ]
+    circle = ImageCircle(size, centre, share * folds_inside(cameras["opencv5"]).radius_px)
+    assert ranked(judge(candidates, circle), "opencv5")[0].name == taken
 
 
 def test_calibrate_saves_the_circle_with_the_detections(corners, tmp_path):

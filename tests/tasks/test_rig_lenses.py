@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from camcal.calibrate.fit import ShapeOptions
-from camcal.calibrate.jackknife import CandidateModel
+from camcal.calibrate.intrinsics import CandidateModel
 from camcal.calibrate.rigs.captures import Captures
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
@@ -38,7 +38,7 @@ def captures(**cameras):
 def test_a_fisheye_beside_narrow_lenses_gets_a_model_of_its_own():
     similar = replace(NARROW, parameters=NARROW.parameters * 1.01)
     seen = captures(left=NARROW, right=similar, top=FISHEYE)
-    found = rig_models(seen, BOARD, RigSettings(), {}, FLAT)
+    found = rig_models(seen, BOARD, RigSettings(), {}, FLAT, {})
     assert found.models["left"] is found.models["right"]
     assert found.models["top"].name.startswith("kannala_brandt")
     assert found.models["left"].name == "opencv5"
@@ -47,7 +47,7 @@ def test_a_fisheye_beside_narrow_lenses_gets_a_model_of_its_own():
 
 def test_models_that_are_asked_for_are_not_compared():
     seen = captures(left=NARROW, right=NARROW)
-    found = rig_models(seen, BOARD, RigSettings(models=("opencv5", "right=fisheye")), {}, FLAT)
+    found = rig_models(seen, BOARD, RigSettings(models=("opencv5", "right=fisheye")), {}, FLAT, {})
     assert {name: model.name for name, model in found.models.items()} == {
         "left": "opencv5",
         "right": "kannala_brandt4",
@@ -121,7 +121,7 @@ def test_a_held_lens_keeps_its_model(tmp_path):
     settings = RigSettings(lenses="fixed", guess=(str(path),), models=("right=opencv5",))
     given = given_lenses(settings, ("left", "right"), SILENT)
     with pytest.raises(InvalidInput, match="--model opencv5: --lenses fixed has kannala_brandt4"):
-        rig_models(captures(left=NARROW, right=FISHEYE), BOARD, settings, given, FLAT)
+        rig_models(captures(left=NARROW, right=FISHEYE), BOARD, settings, given, FLAT, {})
 
 
 def test_a_start_takes_over_what_two_models_have_in_common():

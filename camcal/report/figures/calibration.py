@@ -8,8 +8,7 @@ from matplotlib.figure import FigureBase
 
 from camcal import files
 from camcal.arrays import Array
-from camcal.calibrate.intrinsics import Calibration
-from camcal.calibrate.jackknife import CandidateModel
+from camcal.calibrate.intrinsics import Calibration, CandidateModel
 from camcal.cameras.model import Camera
 from camcal.cameras.validity import ImageCircle
 from camcal.messages import counted

@@ -9,7 +9,7 @@ from matplotlib.patches import Patch
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
 from camcal.arrays import Array
-from camcal.calibrate.jackknife import CandidateModel
+from camcal.calibrate.intrinsics import CandidateModel
 from camcal.calibrate.rigs.record import RigCalibration
 from camcal.cameras.model import Camera
 from camcal.cameras.validity import ImageCircle

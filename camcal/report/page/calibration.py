@@ -7,8 +7,7 @@ from math import degrees, isfinite
 
 import numpy as np
 
-from camcal.calibrate.intrinsics import Calibration
-from camcal.calibrate.jackknife import CandidateModel
+from camcal.calibrate.intrinsics import Calibration, CandidateModel
 from camcal.cameras.model import Camera
 from camcal.cameras.validity import ImageCircle, field_of_view
 from camcal.messages import Message
@@ -25,6 +24,7 @@ from camcal.report.uncertain import (
     length_unit,
     number_text,
     projection_words,
+    region_words,
     value_and_std,
     value_with_std,
 )
@@ -67,7 +67,8 @@ def camera_verdict(camera: CalibratedCamera, warnings: Sequence[Message]) -> Pag
     where = f", {known} at the image corner" if known else ""
     figures = camera.uncertainty.figures()
     inside = figures.get("inside_rms_px", figures.get("rms_px", float("nan")))
-    words = f"Projected points are uncertain by {_px(inside)} RMS where corners were seen{where} (1 sigma)."
+    words = f"Projections of far points are uncertain by {_px(inside)} RMS where corners were seen{where} (1 sigma)."
+    words = f"It holds{region_words(camera.assessment.region) or ' in the whole image'}. {words}"
     return verdict(camera.assessment.failures, warnings, words)
 
 

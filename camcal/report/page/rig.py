@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from camcal.calibrate.jackknife import CandidateModel
+from camcal.calibrate.intrinsics import CandidateModel
 from camcal.calibrate.rigs.record import RigCalibration
 from camcal.formats.camera_file import STEP
 from camcal.messages import Message, counted

@@ -43,6 +43,8 @@ def sentence(text: str) -> str:
 
 def _rule(criterion: Criterion, message: Message) -> str:
     value = message.values.get("value")
+    if not criterion.limit:  # there is nothing to compare
+        return criterion.means
     found = f", found {value:.3g}" if isinstance(value, float) else ""
     return f"{criterion.means} (limit {_limit(criterion)}{found})"
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -9,13 +10,12 @@ from camcal import messages
 from camcal.calibrate import intrinsics
 from camcal.calibrate.channels import aberration, fit_colour
 from camcal.calibrate.fit import ShapeOptions
-from camcal.calibrate.intrinsics import Calibration
-from camcal.calibrate.jackknife import CandidateModel
+from camcal.calibrate.intrinsics import Calibration, CandidateModel, compare_models
 from camcal.calibrate.several_cameras import name_groups
 from camcal.cameras.catalogue import DEFAULT_MODEL, model_named
 from camcal.cameras.model import Camera
 from camcal.cameras.validity import ImageCircle
-from camcal.errors import GateFailed, InsufficientData, InvalidInput, NotConverged
+from camcal.errors import GateFailed, InsufficientData, NotConverged
 from camcal.formats import cameras, detections, native, native_entry
 from camcal.formats.camera_file import (
     CameraEntry,
@@ -24,8 +24,9 @@ from camcal.formats.camera_file import (
 from camcal.messages import Message
 from camcal.options import command_line
 from camcal.progress import SILENT, Progress, warn_of
-from camcal.quality.assess import Assessment, assess
-from camcal.quality.projection_uncertainty import ProjectionUncertainty, projection_uncertainty, too_uncertain
+from camcal.quality.assess import Assessment
+from camcal.quality.lens_choice import judge, ranked
+from camcal.quality.projection_uncertainty import ProjectionUncertainty, too_uncertain
 from camcal.raw.detection_image import COLOURS
 from camcal.report.calibration import as_data, candidates_data, uncertainty_data
 from camcal.run.journal import journal_beside
@@ -37,7 +38,7 @@ from camcal.tasks.calibration.board_views import BoardViews, board_views
 from camcal.tasks.calibration.camera_result import Channel, camera_file, channel_figures
 from camcal.tasks.calibration.corner_refinement import RefinementSummary, is_refined, refine_corners
 from camcal.tasks.calibration.image_circle_of_views import circle_lines, known_circle, with_circle
-from camcal.tasks.calibration.model_selection import Selection, select
+from camcal.tasks.calibration.model_selection import compared, select, solve_given
 from camcal.tasks.calibration.options import CalibrateOptions
 from camcal.tasks.calibration.video_frames import FrameRecord
 from camcal.tasks.calibration.video_frames import as_data as frame_data
@@ -46,8 +47,7 @@ from camcal.tasks.figure_files import figure_data, write_figures
 
 @dataclass(frozen=True, eq=False)
 class CalibrateReport:
-    """The calibration, its projection uncertainty, its assessment, the file that was written, what it is from, and
-    failed inputs.
+    """The calibration, its assessment, the file that was written, what it is from, and failed inputs.
 
     warnings: of the detection and of the assessment. lines: other lines of the report. refinement: what the second pass
     of corner refinement changed, None without one. channels: by the names of colours, empty unless asked for. frames:
@@ -56,7 +56,6 @@ class CalibrateReport:
     """
 
     calibration: Calibration
-    uncertainty: ProjectionUncertainty
     assessment: Assessment
     file: CameraFile
     views: BoardViews
@@ -73,6 +72,11 @@ class CalibrateReport:
     def camera(self) -> Camera:
         """The camera with its covariance."""
         return self.calibration.camera
+
+    @property
+    def uncertainty(self) -> ProjectionUncertainty:
+        """The uncertainty of projections over the image."""
+        return self.assessment.uncertainty
 
     @property
     def trustworthy(self) -> bool:
@@ -137,41 +141,50 @@ def calibrated(
     circle = known_circle(seen.detections, guess)
     if options.save_detections:
         detections.write(options.save_detections, seen.detections)
-    progress.start("solving", None)
+    solve = partial(select if options.model is None else solve_given, board=seen.board, options=how, circle=circle)
+    refinement: RefinementSummary | None = None
+    found: tuple[Message, ...] = ()
     try:
-        selection = _solve(seen, how, options.model is None, circle)
+        if refined:
+            brief = _brief(seen, how, options.model is None, circle, progress)
+            brief = solve(seen.detections.views).calibration if brief is None else brief
+            seen, refinement = _refined(first := seen, brief, options, progress)
+        progress.start("solving", None)
+        try:
+            selection = solve(seen.detections.views)
+        except (InsufficientData, NotConverged) as error:
+            if refinement is None:
+                raise
+            text = f"corner refinement with the calibrated lens skipped, as with --no-refine: {error.message}"
+            seen, refinement, found = first, None, (Message("refinement_failed", text),)
+            selection = solve(seen.detections.views)
     except (InsufficientData, NotConverged) as error:
         if options.report is not None:
             from camcal.tasks.reports.camera_page import write_refusal
 
             write_refusal(options.report, seen, options, words, error)
         raise
-    calibration, found, refinement = selection.calibration, selection.warnings, None
+    calibration, assessment = selection.calibration, selection.assessment
+    found += selection.warnings
     progress.finish()
-    if refined:
-        seen, calibration, refinement, failed = _refined(seen, calibration, how, options, progress)
-        found += failed
-        if options.save_detections:
-            detections.write(options.save_detections, seen.detections)
+    if refinement is not None and options.save_detections:
+        detections.write(options.save_detections, seen.detections)
     colours = COLOURS if options.reading.colours else ()
     channels = {colour: _channel(calibration, colour, seen.detections.views) for colour in colours}
-    assessment = assess(calibration, circle)
-    uncertainty = projection_uncertainty(calibration.camera, observed=calibration.pixels, circle=circle)
-    file = camera_file(calibration, uncertainty, assessment, options.name, words, channels=channels, circle=circle)
-    figures = _write_figures(options, calibration, uncertainty, selection.candidates, circle)
+    file = camera_file(calibration, assessment, options.name, words, channels=channels, circle=circle)
+    figures = _write_figures(options, calibration, assessment.uncertainty, selection.candidates, circle)
     if options.output is not None:
         native.write(options.output, file)
     found += assessment.warnings
     warn_of(found, progress)
     report = CalibrateReport(
         calibration,
-        uncertainty,
         assessment=assessment,
         file=file,
         views=seen,
         warnings=seen.warnings + found,
         failed=seen.failed,
-        lines=seen.lines + circle_lines(circle) + selection.lines + ((refinement.line,) if refinement else ()),
+        lines=seen.lines + circle_lines(circle) + selection.lines + (refinement.lines if refinement else ()),
         refinement=refinement,
         channels=channels,
         frames=seen.frames,
@@ -208,26 +221,30 @@ def _write_figures(
     return write_figures(options.figures, calibration_plots(calibration, uncertainty, candidates, circle))
 
 
-def _refined(
-    seen: BoardViews, calibration: Calibration, how: intrinsics.Options, options: CalibrateOptions, progress: Progress
-) -> tuple[BoardViews, Calibration, RefinementSummary | None, tuple[Message, ...]]:
-    """Return what a second look shows, the calibration it leads to, what changed, and warnings.
-
-    A second look that a calibration cannot be made from leaves the first one as it is.
-    """
-    views = seen.detections.views
-    how_read = options.reading, options.jobs, options.batch
-    look = refine_corners(calibration, views, seen.videos, *how_read, progress, seen.files)
-    better = replace(seen, detections=replace(seen.detections, views=look.views))
-    progress.start("solving again", None)
+def _brief(
+    seen: BoardViews, how: intrinsics.Options, choose: bool, circle: ImageCircle | None, progress: Progress
+) -> Calibration | None:
+    """Return a brief calibration that expects corners well enough to measure them again, None where there is none."""
+    progress.start("solving", None)
+    views, board = seen.detections.views, seen.board
     try:
-        again = intrinsics.calibrate(better.detections.views, seen.board, replace(how, model=calibration.camera.model))
-    except (InvalidInput, InsufficientData, NotConverged) as error:
-        text = f"corner refinement with the calibrated lens skipped, as with --no-refine: {error.message}"
-        return seen, calibration, None, (Message("refinement_failed", text),)
+        if choose:
+            candidates = compared(views, board, how, circle)
+        else:
+            candidates = judge(compare_models(views, board, how, [how.model]), circle)
+        return ranked(candidates, DEFAULT_MODEL)[0].calibration
     finally:
         progress.finish()
-    return better, again, RefinementSummary(look.recovered, look.lost, calibration.sigma_px, again.sigma_px), ()
+
+
+def _refined(
+    seen: BoardViews, brief: Calibration, options: CalibrateOptions, progress: Progress
+) -> tuple[BoardViews, RefinementSummary]:
+    """Return the views with their corners measured where a brief calibration expects them, and what changed."""
+    how_read = options.reading, options.jobs, options.batch
+    look = refine_corners(brief, seen.detections.views, seen.videos, *how_read, progress, seen.files)
+    better = replace(seen, detections=replace(seen.detections, views=look.views))
+    return better, RefinementSummary(look.recovered, look.lost)
 
 
 def _channel(calibration: Calibration, colour: str, views: Sequence[BoardDetection]) -> Channel:
@@ -236,13 +253,6 @@ def _channel(calibration: Calibration, colour: str, views: Sequence[BoardDetecti
     except (InsufficientData, NotConverged) as error:
         raise type(error)(f"{colour}: {error.message}") from error
     return Channel(lens, aberration(calibration.camera, lens))
-
-
-def _solve(seen: BoardViews, how: intrinsics.Options, choose: bool, circle: ImageCircle | None) -> Selection:
-    """Return the calibration; `choose`: with the lens model that predicts views best."""
-    if choose:
-        return select(seen.detections.views, seen.board, how, circle)
-    return Selection(intrinsics.calibrate(seen.detections.views, seen.board, how))
 
 
 def _guess(options: CalibrateOptions, progress: Progress) -> CameraEntry | None:
@@ -274,6 +284,7 @@ def document(report: CalibrateReport, options: CalibrateOptions) -> dict[str, An
         "image_circle": native_entry.circle_block(report.file.cameras[options.name].image_circle),
         "refinement": None if report.refinement is None else vars(report.refinement),
         "trustworthy": report.assessment.trustworthy,
+        "region": {**vars(report.assessment.region), "polygon": report.assessment.region.polygon.round(2).tolist()},
         "failures": messages.as_data(report.assessment.failures),
         "candidates": candidates_data(report.candidates),
         "frames": [frame_data(record) for record in report.frames],

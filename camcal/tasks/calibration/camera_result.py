@@ -22,7 +22,6 @@ from camcal.formats.camera_file import (
     ValidRegion,
 )
 from camcal.quality.assess import Assessment
-from camcal.quality.projection_uncertainty import ProjectionUncertainty
 from camcal.report.calibration import view_record
 from camcal.targets.surface import Surface
 
@@ -37,7 +36,6 @@ class Channel:
 
 def camera_file(
     calibration: Calibration,
-    uncertainty: ProjectionUncertainty,
     assessment: Assessment,
     name: str,
     command: Sequence[str],
@@ -48,7 +46,7 @@ def camera_file(
 
     name: of the camera. command: the words that are recorded. circle: the image circle, where there is one.
     """
-    entry = camera_entry(calibration, uncertainty, assessment, circle, channels)
+    entry = camera_entry(calibration, assessment, circle, channels)
     surface = calibration.surface
     return CameraFile(
         {name: entry},
@@ -60,7 +58,6 @@ def camera_file(
 
 def camera_entry(
     calibration: Calibration,
-    uncertainty: ProjectionUncertainty,
     assessment: Assessment,
     circle: ImageCircle | None,
     channels: Mapping[str, Channel] = MappingProxyType({}),
@@ -69,10 +66,14 @@ def camera_entry(
     return CameraEntry(
         calibration.camera,
         valid=ValidRegion.of(calibration.camera, circle),
-        projection=(ProjectionStd.of(uncertainty),),
+        projection=(ProjectionStd.of(assessment.uncertainty),),
         quality=quality_figures(calibration),
         noise=CalibrationNoise(calibration.sigma_px, calibration.degrees_of_freedom, calibration.model_error_px),
-        verdict=CalibrationVerdict(assessment.trustworthy, tuple(each.text for each in assessment.failures)),
+        verdict=CalibrationVerdict(
+            assessment.trustworthy,
+            tuple(each.text for each in assessment.failures),
+            assessment.region if assessment.trustworthy else None,
+        ),
         channels={colour: channel.lens.camera for colour, channel in channels.items()},
         held_by_prior=calibration.held_by_prior,
     )

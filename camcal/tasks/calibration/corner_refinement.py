@@ -39,18 +39,17 @@ class CornerRefinement:
 
 @dataclass(frozen=True)
 class RefinementSummary:
-    """What measuring the corners again with the calibrated lens changed: corners, and the noise of a coordinate, px."""
+    """How many corners measuring them again with the calibrated lens has added and removed."""
 
     added: int
     removed: int
-    sigma_before_px: float
-    sigma_after_px: float
 
     @property
-    def line(self) -> str:
-        """The line of the report."""
-        noise = f"residual noise {self.sigma_before_px:.3f} px before, {self.sigma_after_px:.3f} px after"
-        return f"corner refinement with the calibrated lens: {self.added} added, {self.removed} removed; {noise}"
+    def lines(self) -> tuple[str, ...]:
+        """The line of the report, none where nothing has changed."""
+        if not self.added and not self.removed:
+            return ()
+        return (f"corner refinement with the calibrated lens: {self.added} added, {self.removed} removed",)
 
 
 def is_refined(asked: bool | None, board: Board, *, table: bool) -> bool:

@@ -17,7 +17,7 @@ from camcal.cameras.model import Camera
 from camcal.cameras.validity import ImageCircle
 from camcal.errors import CamcalError, InvalidInput
 from camcal.formats import cameras, native, provenance
-from camcal.formats.camera_file import CalibrationVerdict, CameraEntry, CameraFile
+from camcal.formats.camera_file import CalibrationVerdict, CameraEntry, CameraFile, verdict_of_view
 from camcal.formats.tables import Table, cell, csv_rows, numbered_lines
 from camcal.images.load import load
 from camcal.images.options import PINHOLE
@@ -247,7 +247,9 @@ def write_view(
         | {"camera": source.origin}
         | ({"aligned_channels": list(aligned)} if aligned else {})
     )
-    native.write(path, CameraFile({source.name: CameraEntry(view, verdict=source.verdict)}, provenance=block))
+    native.write(
+        path, CameraFile({source.name: CameraEntry(view, verdict=verdict_of_view(source.verdict))}, provenance=block)
+    )
     if before is not None and not _same(before, view):
         text = "replaces the camera file of another view: images undistorted earlier no longer match it"
         progress.warn(Message("replaced_view", text, where=str(path)))

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from camcal import files
-from camcal.calibrate.jackknife import CandidateModel
+from camcal.calibrate.intrinsics import CandidateModel
 from camcal.errors import InvalidInput
 from camcal.formats import boards, page_data
 from camcal.formats.page_data import DETECTIONS, DETECTIONS_TYPE, FORMAT, RUN, RUN_TYPE, VERSION
@@ -180,7 +180,8 @@ def candidates_data(candidates: Candidates) -> list[dict[str, Any]]:
 def _candidate_data(own: CandidateModel) -> dict[str, Any]:
     total = None if own.scores is None else float(own.scores.sum())
     data = {"name": own.name, "corners": own.corners, "total": total, "sigma_px": own.sigma_px, "reason": own.reason}
-    return {key: value for key, value in data.items() if value is not None}
+    judged = {"map_px": own.map_px, "failures": list(own.failures) or None}
+    return {key: value for key, value in (data | judged).items() if value is not None}
 
 
 def candidates_of(data: Sequence[Mapping[str, Any]]) -> dict[tuple[str, ...], tuple[CandidateModel, ...]]:
@@ -190,7 +191,15 @@ def candidates_of(data: Sequence[Mapping[str, Any]]) -> dict[tuple[str, ...], tu
 
 def _candidate(data: Mapping[str, Any]) -> CandidateModel:
     scores = np.array([data["total"]]) if "total" in data else None
-    return CandidateModel(data["name"], scores, data["corners"], data.get("sigma_px"), data.get("reason"))
+    return CandidateModel(
+        data["name"],
+        scores,
+        data["corners"],
+        data.get("sigma_px"),
+        data.get("reason"),
+        map_px=data.get("map_px"),
+        failures=tuple(data.get("failures", ())),
+    )
 
 
 def refinement_of(data: Mapping[str, Any] | None) -> RefinementSummary | None:
@@ -198,7 +207,6 @@ def refinement_of(data: Mapping[str, Any] | None) -> RefinementSummary | None:
     if not data:
         return None
     try:
-        added, removed = int(data["added"]), int(data["removed"])
-        return RefinementSummary(added, removed, data["sigma_before_px"], data["sigma_after_px"])
+        return RefinementSummary(int(data["added"]), int(data["removed"]))
     except KeyError as error:
         raise InvalidInput(f"refinement: missing key {error}") from None

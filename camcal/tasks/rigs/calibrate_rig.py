@@ -5,11 +5,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from camcal import messages
 from camcal.calibrate.fit import ShapeOptions
-from camcal.calibrate.jackknife import CandidateModel
+from camcal.calibrate.intrinsics import CandidateModel
 from camcal.calibrate.rigs.calibrate import calibrate_rig
 from camcal.calibrate.rigs.record import RigCalibration, RigOptions
 from camcal.cameras.model import CameraModel
@@ -22,7 +20,7 @@ from camcal.messages import Message
 from camcal.options import command_line
 from camcal.progress import SILENT, Progress, warn_of
 from camcal.quality.assess import Assessment, assess
-from camcal.quality.projection_uncertainty import ProjectionUncertainty, projection_uncertainty, too_uncertain
+from camcal.quality.projection_uncertainty import ProjectionUncertainty, too_uncertain
 from camcal.report.calibration import as_data, candidates_data, uncertainty_data
 from camcal.report.rig import motion_data, transform_data
 from camcal.run.journal import journal_beside
@@ -41,7 +39,6 @@ from camcal.tasks.rigs.rig_lenses import (
     require_sizes,
     rig_models,
     starting,
-    without_fold,
 )
 from camcal.tasks.rigs.rig_views import RigViews, require_size, rig_views, with_circles
 
@@ -50,9 +47,13 @@ from camcal.tasks.rigs.rig_views import RigViews, require_size, rig_views, with_
 class CameraResult:
     """What is said of one camera of a rig beside its calibration; circle: its image circle, where there is one."""
 
-    uncertainty: ProjectionUncertainty
     assessment: Assessment
     circle: ImageCircle | None = None
+
+    @property
+    def uncertainty(self) -> ProjectionUncertainty:
+        """The uncertainty of projections over the image."""
+        return self.assessment.uncertainty
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,7 +138,7 @@ def _calibrated(seen: RigViews, settings: RigSettings, command: Sequence[str], p
     shape = ShapeOptions(smooth=not settings.flat_board, offsets=settings.free_corners)
     progress.start("choosing lens models", None)
     try:
-        models = rig_models(seen.captures, seen.board, settings, given, shape)
+        models = rig_models(seen.captures, seen.board, settings, given, shape, circles)
         progress.finish()
         how = _solver_options(settings, given, shape, models.models)
         calibration = _solved(seen, how, progress, "solving")
@@ -147,10 +148,6 @@ def _calibrated(seen: RigViews, settings: RigSettings, command: Sequence[str], p
 
             write_refusal(settings.report, seen, settings, command, error)
         raise
-    better = without_fold(models, calibration.calibrations, circles, seen.captures, shape)
-    if better is not None:
-        models, how = better, _solver_options(settings, given, shape, better.models)
-        calibration = _solved(seen, how, progress, "solving with other lens models")
     refinement: RefinementSummary | None = None
     found: tuple[Message, ...] = ()
     if refined:
@@ -158,11 +155,7 @@ def _calibrated(seen: RigViews, settings: RigSettings, command: Sequence[str], p
         if settings.save_detections:
             detections.write(settings.save_detections, seen.detections())
     results = {
-        name: CameraResult(
-            projection_uncertainty(own.camera, observed=own.pixels, circle=circles.get(name)),
-            assess(own, circles.get(name)),
-            circles.get(name),
-        )
+        name: CameraResult(assess(own, circles.get(name), models.candidates_of(name)), circles.get(name))
         for name, own in calibration.calibrations.items()
     }
     file = rig_file(calibration, results, command)
@@ -178,7 +171,7 @@ def _calibrated(seen: RigViews, settings: RigSettings, command: Sequence[str], p
         views=seen,
         file=file,
         warnings=seen.warnings + found,
-        lines=seen.lines + models.lines + ((refinement.line,) if refinement else ()),
+        lines=seen.lines + models.lines + (refinement.lines if refinement else ()),
         refinement=refinement,
         candidates=models.candidates,
         figures=figures,
@@ -265,12 +258,7 @@ def _refined(
     except (InvalidInput, InsufficientData, NotConverged) as error:
         text = f"corner refinement with the calibrated lenses skipped, as with --no-refine: {error.message}"
         return seen, calibration, None, (Message("refinement_failed", text),)
-    return better, again, RefinementSummary(recovered, lost, _noise(calibration), _noise(again)), ()
-
-
-def _noise(calibration: RigCalibration) -> float:
-    """Return the standard deviation of a pixel coordinate of all cameras, root mean square, px."""
-    return float(np.sqrt(np.mean([own.sigma_px**2 for own in calibration.calibrations.values()])))
+    return better, again, RefinementSummary(recovered, lost), ()
 
 
 def rig_file(calibration: RigCalibration, results: Mapping[str, CameraResult], command: Sequence[str]) -> CameraFile:
@@ -279,10 +267,13 @@ def rig_file(calibration: RigCalibration, results: Mapping[str, CameraResult], c
     entries = {}
     for name in calibration.poses:
         result = results[name]
-        entry = camera_entry(calibration.calibrations[name], result.uncertainty, result.assessment, result.circle)
+        entry = camera_entry(calibration.calibrations[name], result.assessment, result.circle)
         verdict = entry.verdict or CalibrationVerdict(True)
         entries[name] = replace(
-            entry, verdict=CalibrationVerdict(verdict.trustworthy and not failures, verdict.reasons + failures)
+            entry,
+            verdict=CalibrationVerdict(
+                verdict.trustworthy and not failures, verdict.reasons + failures, None if failures else verdict.region
+            ),
         )
     others = [name for name in calibration.poses if name != calibration.first]
     transforms = {

@@ -3,7 +3,7 @@
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -12,19 +12,19 @@ from camcal import files
 from camcal.calibrate import intrinsics
 from camcal.calibrate.fit import ShapeOptions
 from camcal.calibrate.initialise import sweep_focal
-from camcal.calibrate.intrinsics import Calibration
-from camcal.calibrate.jackknife import GAIN, CandidateModel, chosen
+from camcal.calibrate.intrinsics import CandidateModel
 from camcal.calibrate.rigs.captures import Captures
 from camcal.cameras.catalogue import DEFAULT_MODEL, WIDE_MODEL, model_named
 from camcal.cameras.model import Camera, CameraModel
 from camcal.cameras.observations import Observations
-from camcal.cameras.validity import ImageCircle, folds_inside
-from camcal.errors import InsufficientData, InvalidInput, NotConverged
+from camcal.cameras.validity import ImageCircle
+from camcal.errors import InsufficientData, InvalidInput
 from camcal.formats import cameras
 from camcal.formats.camera_file import CameraFile
 from camcal.messages import counted
 from camcal.parsing import did_you_mean
 from camcal.progress import Progress
+from camcal.quality.lens_choice import ranked
 from camcal.run.paths import split_address
 from camcal.targets.board import Board
 from camcal.targets.detection import BoardDetection
@@ -51,6 +51,10 @@ class RigModels:
     models: Mapping[str, CameraModel]
     candidates: Mapping[tuple[str, ...], tuple[CandidateModel, ...]] = field(default_factory=dict)
     lines: tuple[str, ...] = ()
+
+    def candidates_of(self, name: str) -> tuple[CandidateModel, ...]:
+        """Return the models that were compared for a camera, none where its model was given."""
+        return next((compared for names, compared in self.candidates.items() if name in names), ())
 
 
 def given_lenses(settings: RigSettings, names: Sequence[str], progress: Progress) -> dict[str, GivenLens]:
@@ -158,10 +162,15 @@ def _digest(view: BoardDetection) -> str | None:
 
 
 def rig_models(
-    captures: Captures, board: Board, settings: RigSettings, given: Mapping[str, GivenLens], shape: ShapeOptions
+    captures: Captures,
+    board: Board,
+    settings: RigSettings,
+    given: Mapping[str, GivenLens],
+    shape: ShapeOptions,
+    circles: Mapping[str, ImageCircle],
 ) -> RigModels:
     """Return the lens models: those of given lenses that are not estimated anew, those asked for, and for all other
-    cameras what predicts their views best.
+    cameras what predicts their views best; circles: the image circles of those that have one.
 
     Raises InvalidInput for a model that does not exist, or not that of a lens that is held.
     """
@@ -177,7 +186,7 @@ def rig_models(
         models[name] = lens.camera.model
     models = {name: model_named(model) for name, model in asked.items()} | models
     open_ = [name for name in captures.cameras if name not in models]
-    found = _chosen_for(captures, board, open_, shape)
+    found = _chosen_for(captures, board, open_, shape, circles)
     return RigModels(
         {name: {**models, **found.models}[name] for name in captures.cameras}, found.candidates, found.lines
     )
@@ -201,7 +210,13 @@ def _views(captures: Captures, name: str) -> list[BoardDetection]:
     return [view for view in captures.of(index) if view is not None]
 
 
-def _chosen_for(captures: Captures, board: Board, names: Sequence[str], shape: ShapeOptions) -> RigModels:
+def _chosen_for(
+    captures: Captures,
+    board: Board,
+    names: Sequence[str],
+    shape: ShapeOptions,
+    circles: Mapping[str, ImageCircle],
+) -> RigModels:
     """Return the models that predict the views of cameras best, one for all cameras of a kind.
 
     Of a kind are cameras with images of one size and similar focal lengths for which one model does. A camera whose
@@ -213,7 +228,7 @@ def _chosen_for(captures: Captures, board: Board, names: Sequence[str], shape: S
     for name in names:
         views = _views(captures, name)
         with suppress(InsufficientData, InvalidInput):
-            found[name] = compared(views, board, options)
+            found[name] = compared(views, board, options, circles.get(name))
             by_size[usual_size(views)].append(name)
     focals = {name: _focal(_views(captures, name), board) for name in found}
     groups = [group for names in by_size.values() for group in _similar(names, focals)]
@@ -267,8 +282,8 @@ def _kinds(names: Sequence[str], found: Mapping[str, tuple[CandidateModel, ...]]
     fisheye beside a narrow lens, is of another kind.
     """
     joint = together([found[name] for name in names])
-    model = chosen(joint, DEFAULT_MODEL).name
-    others = [name for name in names if chosen(found[name], model).name != model]
+    model = ranked(joint, DEFAULT_MODEL)[0].name
+    others = [name for name in names if ranked(found[name], model)[0].name != model]
     if not others or len(names) == 1:
         return [_Kind(tuple(names), joint, model)]
     same = [name for name in names if name not in others]
@@ -295,46 +310,6 @@ def _joined(candidates: Sequence[CandidateModel]) -> CandidateModel:
         np.concatenate([own.scores for own in candidates if own.scores is not None]),
         sum(corners),
         float(np.sqrt(np.average(variances, weights=corners))),
+        map_px=float(np.sqrt(np.mean([(own.map_px or 0.0) ** 2 for own in candidates]))),
+        failures=tuple(sorted({code for own in candidates for code in own.failures})),
     )
-
-
-def without_fold(
-    found: RigModels,
-    calibrations: Mapping[str, Calibration],
-    circles: Mapping[str, ImageCircle],
-    views: Captures,
-    shape: ShapeOptions,
-) -> RigModels | None:
-    """Return models that are invertible in the whole image, or image circle, where such ones predict about as well as
-    those in use; None where nothing is to be changed.
-    """
-    changed: dict[str, CameraModel] = {}
-    lines: list[str] = []
-    for group, candidates in found.candidates.items():
-        folded = [name for name in group if name in calibrations and _folds(calibrations[name], circles.get(name))]
-        taken, best = found.models[group[0]].name, max(own.score for own in candidates)
-        near = [own for own in candidates if own.score >= best - GAIN and own.name != taken]
-        for own in sorted(near, key=lambda own: -own.score) if folded else ():
-            if not any(
-                _folds_alone(own.name, views, calibrations[name].board, name, circles, shape) for name in folded
-            ):
-                changed |= {name: model_named(own.name) for name in group}
-                why = f"{taken} predicts as well, but is not invertible in the whole image"
-                lines.append(f"lens model of {', '.join(group)}: {own.name}; {why}")
-                break
-    return replace(found, models={**found.models, **changed}, lines=tuple(lines)) if changed else None
-
-
-def _folds_alone(
-    model: str, captures: Captures, board: Board, name: str, circles: Mapping[str, ImageCircle], shape: ShapeOptions
-) -> bool:
-    """Return whether the lens of a camera that is calibrated alone is not invertible with a model."""
-    try:
-        options = intrinsics.Options(model_named(model), shape=shape)
-        return _folds(intrinsics.calibrate(_views(captures, name), board, options), circles.get(name))
-    except (InvalidInput, InsufficientData, NotConverged):
-        return True
-
-
-def _folds(calibration: Calibration, circle: ImageCircle | None) -> bool:
-    return folds_inside(calibration.camera, circle).folds

@@ -21,6 +21,7 @@ from camcal.formats.camera_file import (
     Transform,
     pair_covariance,
     pose_between,
+    verdict_of_view,
 )
 from camcal.geometry.pose import JOINT, Pose
 from camcal.parsing import did_you_mean
@@ -223,7 +224,9 @@ def rectified_file(rig: GivenRig, rectification: Rectification, command: Sequenc
             for (own, view), part in zip(views.items(), (slice(0, 4), slice(4, 8)), strict=True)
         }
         transform = Transform(pose, joint.matrix[8:, 8:])
-    entries = {own: CameraEntry(view, verdict=rig.file.cameras[own].verdict) for own, view in views.items()}
+    entries = {
+        own: CameraEntry(view, verdict=verdict_of_view(rig.file.cameras[own].verdict)) for own, view in views.items()
+    }
     return CameraFile(entries, {name: transform}, joint, provenance=block)
 
 

@@ -1,0 +1,76 @@
+"""Choice of the lens model: each candidate is estimated briefly and assessed by the criteria of the verdict.
+
+Those that meet a criterion come before those that do not; of those that predict left-out views alike, the one that is
+known best over the whole image is taken, as coefficients that the data do not determine cost what they leave open.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from camcal.calibrate.intrinsics import CandidateModel
+from camcal.cameras.validity import ImageCircle
+from camcal.quality.assess import assess
+
+# By how much a model must predict better: nats a corner (0.1 is 5 % of the prediction error), and standard errors of
+# the difference between views. Than the preferred one by much, or less if that is clearer; than a simpler one by
+# little: a lens that is described badly at the edge of the image costs its few corners there no more.
+GAIN = 0.10
+_MUCH, _LITTLE = ((GAIN, 1.5), (0.02, 2.5)), ((0.005, 1.5),)
+# Of models that predict alike: the share of the map's standard deviation below which another one is better known, as
+# single lenses differ by chance; and that deviation, in prediction errors, below which it is known well enough.
+_BETTER_KNOWN, _WELL_KNOWN = 0.7, 1.0
+_NO_RAY = 0.01  # of the image diagonal: standard deviation that a pixel counts with for which the lens has no ray
+
+
+def judge(candidates: Sequence[CandidateModel], circle: ImageCircle | None = None) -> tuple[CandidateModel, ...]:
+    """Return the candidates with what the verdict would be on their brief calibrations; circle: the image circle."""
+    return tuple(own if own.scores is None else _judged(own, circle) for own in candidates)
+
+
+def _judged(own: CandidateModel, circle: ImageCircle | None) -> CandidateModel:
+    if own.calibration is None:
+        return own
+    assessment, size = assess(own.calibration, circle), own.calibration.camera.image_size
+    found = assessment.uncertainty
+    lit = found.std_rms if circle is None else found.std_rms[circle.contains(found.pixels)]
+    std = np.where(np.isfinite(lit), lit, _NO_RAY * float(np.hypot(*size)))
+    failures = tuple(message.code for message in assessment.failures)
+    return replace(own, map_px=float(np.sqrt(np.mean(std**2))), failures=failures)
+
+
+def ranked(candidates: Sequence[CandidateModel], preferred: str) -> list[CandidateModel]:
+    """Return the candidates in the order in which they are to be used; candidates: the simplest first."""
+    scored = [own for own in candidates if own.scores is not None]
+    result: list[CandidateModel] = []
+    for group in ([own for own in scored if not own.failures], [own for own in scored if own.failures]):
+        first = [chosen(group, preferred)] if group else []
+        result += first + sorted((own for own in group if own not in first), key=lambda own: -own.score)
+    return result + sorted((own for own in candidates if own.scores is None), key=lambda own: own.name != preferred)
+
+
+def chosen(candidates: Sequence[CandidateModel], preferred: str) -> CandidateModel:
+    """Return the candidate to use; candidates: the simplest first.
+
+    The preferred one stays unless the best predicts much better; else the simplest one that the best does not beat.
+    One that the best does not beat by much either, and that is known much better over the image, replaces it.
+    """
+    best = max(candidates, key=lambda own: own.score)
+    first = next((own for own in candidates if own.name == preferred), None)
+    if first is None or _beats(best, first, _MUCH):
+        first = next(own for own in candidates if not _beats(best, own, _LITTLE))
+    if first.map_px is None or first.sigma_px is None or first.map_px <= _WELL_KNOWN * first.sigma_px:
+        return first
+    alike = [own for own in candidates if own.map_px is not None and not _beats(best, own, _MUCH)]
+    known = min(alike, key=lambda own: own.map_px or 0.0, default=first)
+    return known if (known.map_px or 0.0) < _BETTER_KNOWN * first.map_px else first
+
+
+def _beats(one: CandidateModel, other: CandidateModel, margins: Sequence[tuple[float, float]]) -> bool:
+    """Return whether a candidate predicts better than another by any of the margins: nats a corner, standard errors."""
+    if one.scores is None or other.scores is None:
+        return one.scores is not None
+    gains = one.scores - other.scores
+    error = float(np.std(gains, ddof=1)) * np.sqrt(len(gains)) if len(gains) > 1 else np.inf
+    return any(gains.sum() > max(least * one.corners, errors * error) for least, errors in margins)

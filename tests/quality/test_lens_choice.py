@@ -1,0 +1,46 @@
+"""Choice of the lens model by what is known of the whole image, at its limits."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from camcal.calibrate.intrinsics import CandidateModel
+from camcal.quality.lens_choice import chosen, ranked
+
+VIEWS, CORNERS = 10, 100
+
+
+def candidate(name, score, map_px, sigma_px=0.1, failures=()):
+    """A model with the same score, nat a corner, in all views."""
+    scores = np.full(VIEWS, score * CORNERS / VIEWS)
+    return CandidateModel(name, scores, CORNERS, sigma_px, map_px=map_px, failures=failures)
+
+
+@pytest.mark.parametrize(("ratio", "taken"), [(0.35, "other"), (0.69, "other"), (0.71, "default"), (1.4, "default")])
+def test_of_models_that_predict_alike_the_one_that_is_known_better_is_used(ratio, taken):
+    default, other = candidate("default", 1.0, 2.0), candidate("other", 1.0, 2.0 * ratio)
+    assert chosen([default, other], "default").name == taken
+    assert chosen([other, default], "default").name == taken
+
+
+@pytest.mark.parametrize(("map_px", "taken"), [(0.05, "default"), (0.099, "default"), (0.101, "other"), (0.2, "other")])
+def test_a_lens_that_is_known_better_than_it_predicts_is_kept(map_px, taken):
+    default, other = candidate("default", 1.0, map_px), candidate("other", 1.0, map_px / 2)
+    assert chosen([default, other], "default").name == taken
+
+
+@pytest.mark.parametrize(("worse", "taken"), [(0.01, "other"), (0.0199, "other"), (0.021, "default"), (0.2, "default")])
+def test_a_lens_that_predicts_clearly_worse_is_not_used_however_well_it_is_known(worse, taken):
+    # views that agree: by 0.02 nat a corner is enough
+    default, other = candidate("default", 1.0, 20.0), candidate("other", 1.0 - worse, 0.2)
+    assert chosen([default, other], "default").name == taken
+
+
+def test_models_that_pass_come_first_then_those_that_do_not_then_those_without_a_score():
+    best = candidate("best", 2.0, 0.1, failures=("not_invertible",))
+    second, third = candidate("second", 1.5, 0.1), candidate("third", 1.0, 0.1)
+    failed, default = CandidateModel("failed", reason="no start"), CandidateModel("default", reason="no start")
+    order = ranked([failed, default, third, best, second], "default")
+    assert [own.name for own in order] == ["second", "third", "best", "default", "failed"]
+    assert [own.name for own in ranked([replace(third, failures=("lens_model",)), best], "third")] == ["best", "third"]
