@@ -258,8 +258,8 @@ FAULTS = {
     "wrong columns": Fault(("columns", "ids"), table=wrong_columns),
     "gross corners 15 %": Fault(("corners",), table=partial(gross, share=0.15)),
     "5 views": Fault(("few_views",), views=5),
-    "tilt 7 degrees": Fault(("parallel_views", "tilt"), tilt_deg=7.0, parallel=True),
-    "tilt 4 degrees": Fault(("parallel_views", "tilt"), tilt_deg=4.0, parallel=True),
+    "tilt 7 degrees": Fault(("known_region", "tilt"), tilt_deg=7.0, parallel=True),
+    "tilt 4 degrees": Fault(("known_region", "tilt"), tilt_deg=4.0, parallel=True),
     "mm taken as m": Fault(("board_size",), table=in_metres),
 }
 CLEAN = {

@@ -22,18 +22,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from camcal.calibrate.fit import ShapeOptions
-from camcal.calibrate.intrinsics import Calibration, Options, calibrate
+from camcal.calibrate.intrinsics import Calibration, Options
 from camcal.cameras.catalogue import DEFAULT_MODEL, model_named
 from camcal.cameras.model import Camera
 from camcal.errors import CamcalError
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
-from camcal.quality.assess import assess
 from camcal.simulate.scene import observe, views
 from camcal.targets.board import Board
 from camcal.targets.detection import BoardDetection
 from camcal.tasks.calibration.calibrate import name_groups
-from camcal.tasks.calibration.model_selection import select
+from camcal.tasks.calibration.model_selection import select, solve_given
 
 SIZE, NOISE = (1600, 1200), 0.1
 BOARD = Board("chessboard", 9, 6, 0.030)
@@ -178,13 +177,10 @@ def outcome(given: Set) -> Outcome:
     names = name_groups([view.image for view in given.views])
     how = Options(model_named(given.model or DEFAULT_MODEL), (), None, ShapeOptions(), given.max_rejected, names)
     try:
-        if given.model is None:
-            found = select(given.views, given.board, how).calibration
-        else:
-            found = calibrate(given.views, given.board, how)
+        selection = (select if given.model is None else solve_given)(given.views, given.board, how)
     except CamcalError as error:
         return Outcome(None, (f"refused: {_kind(error.message)}",), error.message)
-    assessment = assess(found)
+    found, assessment = selection.calibration, selection.assessment
     codes = tuple(own.code for own in assessment.failures)
     return Outcome(found, codes, "; ".join(own.text for own in assessment.messages))
 
@@ -222,7 +218,7 @@ def remedy(given: Set, seed: int, said: str) -> tuple[str, Sequence[Set]]:
     if "leave out" in said:
         named = set(images)
         return "leave out", [replace(given, views=tuple(view for view in given.views if view.image not in named))]
-    if "try --model" in said or "another --model" in said:
+    if "use --model" in said:
         (model,) = re.findall(r"--model \(?(\w+)", said)[:1]
         return "model", [replace(given, model=model)]
     if "check columns, rows" in said:
@@ -231,8 +227,6 @@ def remedy(given: Set, seed: int, said: str) -> tuple[str, Sequence[Set]]:
         return "corners", [replace(given, views=given.sharp)]
     if re.search(r"(add|take) (more |\w+ )?(views|images)|tilted", said):
         return "more views", [replace(given, views=given.views + tuple(shots(given.camera, 15, seed + 1000, "c")))]
-    if "fewer coefficients" in said:
-        return "model", [replace(given, model="opencv5")]
     if "sharper" in said:
         return "sharper", [replace(given, views=given.sharp or given.views)]
     return "none", []

@@ -15,6 +15,7 @@ from scipy.stats import t as student
 
 from camcal.arrays import Array, FloatArray
 from camcal.calibrate.intrinsics import Calibration, CandidateModel
+from camcal.calibrate.refusals import tilt_spread
 from camcal.calibrate.view_records import names_of
 from camcal.cameras.validity import ImageCircle, folds_inside
 from camcal.messages import Message, counted
@@ -37,8 +38,8 @@ _OF_VIEWS = ("focal_change", "focal_varies", "two_boards", "motion_blur", "rolli
 _EXPLAINED = {
     "several_cameras": (*_OF_VIEWS, "lens_model", "residual_pattern", "known_region"),
     "several_cameras_by_name": (*_OF_VIEWS, "lens_model", "residual_pattern", "known_region"),
-    **dict.fromkeys(("focal_length", "focal_length_few_views", "not_invertible", "lens_model"), ("known_region",)),
-    "parallel_views": ("known_region", "focal_length", "focal_length_few_views"),
+    **dict.fromkeys(("not_invertible", "lens_model"), ("known_region",)),
+    "known_region": ("tilt",),
     "board_scale": ("board_size",),
 }
 _MOSTLY = 0.5  # of a view's corners
@@ -88,7 +89,6 @@ def assess(
         partial(_fold, circle=circle, others=others),
         _cameras,
         partial(_lens_model, trend=trend, stated_px=stated_px, others=others),
-        _focal_length,
         _views,
         partial(_coverage, circle=circle),
         _noise,
@@ -96,7 +96,7 @@ def assess(
         partial(between_views, stated_px=stated_px),
         _plausible,
         _board,
-        lambda _: _region(region, others),
+        partial(_region, region=region, others=others),
     )
     found = [message for part in parts for message in part(calibration)]
     explained = {code for message in found for code in _EXPLAINED.get(message.code, ())}
@@ -171,27 +171,21 @@ def _lens_model(calibration: Calibration, trend: "Trend", stated_px: float, othe
         yield message("residual_pattern", f"{text}included in the projection uncertainty", size / calibration.sigma_px)
 
 
-def _region(region: KnownRegion, others: str) -> Iterator[Message]:
-    if region.of_observed < _limit("known_region"):
-        text = (
-            f"projections are known to {region.limit_px:.2g} px in {100 * region.of_observed:.0f} % of the area with "
-            f"corners (limit {100 * _limit('known_region'):.0f} %): "
-        )
-        text += others if others.startswith("use") else "add views tilted by 20° to 45° about both axes"
-        yield message("known_region", text, region.of_observed)
-
-
-def _focal_length(calibration: Calibration) -> Iterator[Message]:
+def _region(calibration: Calibration, region: KnownRegion, others: str) -> Iterator[Message]:
+    if region.of_observed >= _limit("known_region"):
+        return
     camera = calibration.camera
     share = max((camera.std(name) or 0.0) / camera.value(name) for name in ("fx", "fy"))
-    count, code, why = len(calibration.used), "focal_length", ""
-    if count < _FEW_FOR_SCATTER:
-        factor, code = _few_views_factor(count), "focal_length_few_views"
-        share, why = factor * share, f", {factor:.2g} x that of the fit as there are only {count} views"
-    if share > _limit(code):
-        known = f"standard deviation of the focal length {100 * share:.1f} %{why}"
-        text = f"{known}: add views tilted by 20° to 45° about both axes"
-        yield message(code, text, share)
+    tilt = np.degrees(
+        tilt_spread(np.stack([own.camera_T_board.rotation for own in calibration.used if own.camera_T_board]))
+    )
+    remedy = others if others.startswith("use") else "add views tilted by 20° to 45° about both axes"
+    text = (
+        f"projection uncertainty below {region.limit_px:.2g} px in {100 * region.of_observed:.0f} % of the area with "
+        f"corners (at least {100 * _limit('known_region'):.0f} % needed; focal length ± {100 * share:.2g} %, board "
+        f"tilted by up to {tilt:.0f}°, {counted(len(calibration.used), 'view')}): {remedy}"
+    )
+    yield message("known_region", text, region.of_observed)
 
 
 def _few_views_factor(count: int) -> float:
