@@ -179,7 +179,7 @@ def _region(calibration: Calibration, region: KnownRegion, others: str) -> Itera
     tilt = np.degrees(
         tilt_spread(np.stack([own.camera_T_board.rotation for own in calibration.used if own.camera_T_board]))
     )
-    remedy = others if others.startswith("use") else "add views tilted by 20° to 45° about both axes"
+    remedy = others or "add views tilted by 20° to 45° about both axes"
     text = (
         f"projection uncertainty below {region.limit_px:.2g} px in {100 * region.of_observed:.0f} % of the area with "
         f"corners (at least {100 * _limit('known_region'):.0f} % needed; focal length ± {100 * share:.2g} %, board "

@@ -283,7 +283,7 @@ def test_boards_within_five_degrees_of_one_direction_are_refused(tilt_deg, refus
     rotations = np.stack([so3.about_x(tilt) for tilt in tilts])
     rotations[0] = so3.about_x(-0.5 * np.radians(tilt_deg))  # the mean direction stays the axis
     if refused:
-        with pytest.raises(InsufficientData, match=r"nearly parallel views \(board tilts within 4\.5°\)"):
+        with pytest.raises(InsufficientData, match=r"nearly parallel views \(board tilts below 5°\)"):
             require_tilts(rotations)
     else:
         require_tilts(rotations)

@@ -12,6 +12,7 @@ from camcal.formats import disparity, native
 from camcal.formats.camera_file import CalibrationVerdict, CameraEntry, CameraFile, Transform
 from camcal.geometry.pose import Pose
 from camcal.images.save import save
+from camcal.quality.projection_uncertainty import KnownRegion
 
 SIZE = (160, 120)
 LENS = Camera(model_named("pinhole"), SIZE, np.array([150.0, 150.0, 79.5, 59.5]))
@@ -73,6 +74,19 @@ def test_a_distrusted_calibration_is_one_line_more_on_stderr_and_the_same_exit(r
     assert len(err.splitlines()) == len(before) + 1
     assert more[0].startswith("camcal: warning: rig.yaml:")
     assert more[0].endswith(f"cameras.left.verdict: {SAID}")
+
+
+@pytest.mark.parametrize(("left_out", "said"), [(0.0, ""), (0.015, ""), (0.03, "3 %"), (0.5, "48 %")])
+def test_a_view_that_shows_more_than_the_verdict_holds_for_is_said(run, folder, left_out, said):
+    right = 159 * (1 - left_out)
+    corners = np.array([[0.0, 0.0], [right, 0.0], [right, 119.0], [0.0, 119.0]])
+    region = KnownRegion(1.0, 1 - left_out, 1.0, corners)
+    write_rig(folder / "rig.yaml", CalibrationVerdict(trustworthy=True, region=region))
+    code, _, err = run("undistort", "rig.yaml#left", "tags", "-o", "out")
+    assert code == 0
+    words = f"projection uncertainty above 1 px in {said} of the view, where the verdict on the camera does not hold"
+    assert (words in err) == bool(said), err
+    assert native.read(folder / "out" / "camera.yaml").cameras["left"].verdict == CalibrationVerdict(trustworthy=True)
 
 
 def test_the_view_of_a_distrusted_camera_is_distrusted_too(run, folder):

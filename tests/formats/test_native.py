@@ -28,6 +28,7 @@ from camcal.formats.camera_file import (
     ValidRegion,
 )
 from camcal.geometry.pose import Pose
+from camcal.quality.projection_uncertainty import KnownRegion
 from camcal.targets.board import parse_board
 from camcal.targets.surface import Surface
 
@@ -93,7 +94,11 @@ def full_file(rng) -> CameraFile:
         ),
         quality={"rms_px": 0.21, "images_used": 34, "points_used": 1836},
         noise=CalibrationNoise(0.11, 3400, 0.05),
-        verdict=CalibrationVerdict(trustworthy=False, reasons=("no view in the lower left corner", "few tilts")),
+        verdict=CalibrationVerdict(
+            trustworthy=False,
+            reasons=("no view in the lower left corner", "few tilts"),
+            region=KnownRegion(1.0, 0.75, 0.9, np.array([[0.5, 1.25], [600.0, 2.0], [300.0, 470.0]])),
+        ),
         sensor={"pixel_pitch_um": 3.45, "gain_e_per_dn": 0.4, "read_noise_e": 2.1, "full_well_e": 10500.0},
         channels={"red": red},
         held_by_prior=("k4", "k5"),
@@ -144,7 +149,11 @@ def test_everything_written_is_read_back_to_twelve_digits(tmp_path):
     left, expected = found.cameras["left"], file.cameras["left"]
     assert_same_camera(left.channels["red"], expected.channels["red"])
     assert left.held_by_prior == ("k4", "k5")
-    assert (left.noise, left.verdict, left.projection) == (expected.noise, expected.verdict, expected.projection)
+    assert (left.noise, left.projection) == (expected.noise, expected.projection)
+    assert replace(left.verdict, region=None) == replace(expected.verdict, region=None)
+    region, given = vars(left.verdict.region), vars(expected.verdict.region)
+    np.testing.assert_array_equal(region.pop("polygon"), given["polygon"])
+    assert region == {name: given[name] for name in ("limit_px", "share", "of_observed")}
     assert (left.quality, left.sensor, left.extra) == (expected.quality, expected.sensor, expected.extra)
     assert math.isclose(left.valid.max_theta, 0.65, rel_tol=1e-11)  # through degrees at 12 digits
     np.testing.assert_array_equal(left.valid.polygon, expected.valid.polygon)

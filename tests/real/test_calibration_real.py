@@ -1,5 +1,6 @@
 """Real sets through one command: the figures that the project promises for them."""
 
+import numpy as np
 import pytest
 
 from camcal.formats import native
@@ -55,3 +56,23 @@ def test_charuco_of_either_pattern_is_calibrated(real_data, tmp_path):
     assert report.calibration.board.legacy is True
     assert len(report.calibration.used) == len(images) == 7
     assert report.calibration.rms_px < 0.3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("images", "board"),
+    [
+        ("stereo_rig/boofcv-bumblebee2-chess/left*.jpg", "chessboard:6x4:30mm"),
+        ("chessboard/opencv-left-right/right*.jpg", "chessboard:9x6:25mm"),
+        ("fisheye/ocamcalib-fish2/Fisheye2_*.jpg", "chessboard:8x6:117mm"),
+    ],
+)
+def test_images_and_the_detections_they_leave_lead_to_the_same_camera(real_data, tmp_path, images, board):
+    table = tmp_path / "corners.csv"
+    options = CalibrateOptions((str(real_data / images),), tmp_path / "a.yaml", board, save_detections=table)
+    first, again = calibrate(options), calibrate(CalibrateOptions((str(table),), tmp_path / "b.yaml"))
+    assert first.camera.model is again.camera.model
+    std = np.sqrt(np.diag(first.camera.covariance))
+    assert np.abs((again.camera.parameters - first.camera.parameters) / std).max() < 1e-6
+    np.testing.assert_allclose(again.camera.covariance, first.camera.covariance, rtol=1e-6)
+    assert again.trustworthy == first.trustworthy
