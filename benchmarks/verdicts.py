@@ -27,17 +27,17 @@ from pathlib import Path
 import numpy as np
 from split_halves import ALL_SETS, divisions, grid_within, held_out, read_views
 
-from camcal.calibrate.intrinsics import Calibration, Options, calibrate
+from camcal.calibrate.intrinsics import Calibration, Options
 from camcal.cameras.catalogue import DEFAULT_MODEL, model_named
-from camcal.cameras.directions import direction_displacements, in_hull
+from camcal.cameras.directions import direction_displacements
 from camcal.cameras.model import Camera
 from camcal.errors import CamcalError
 from camcal.geometry import rotation as so3
-from camcal.quality.assess import assess
+from camcal.quality.projection_uncertainty import in_polygon, projection_uncertainty
 from camcal.run.fanout import fan_out
 from camcal.targets.board import Board
 from camcal.targets.detection import BoardDetection
-from camcal.tasks.calibration.model_selection import select
+from camcal.tasks.calibration.model_selection import select, solve_given
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,18 +75,13 @@ def half(board: Board, views: list[BoardDetection], model: str | None) -> Half:
     start = time.process_time()
     try:
         how = Options(model_named(model or DEFAULT_MODEL))
-        found = select(views, board, how) if model is None else None
-        own = calibrate(views, board, how) if found is None else found.calibration
+        found = (select if model is None else solve_given)(views, board, how)
     except (CamcalError, ValueError, ArithmeticError) as error:
         return Half(None, ("refused",), str(error), time.process_time() - start)
-    try:
-        assessment = assess(own, candidates=found.candidates if found else ())
-    except TypeError:
-        assessment = assess(own)
+    own, assessment = found.calibration, found.assessment
     said = "; ".join(message.text for message in assessment.messages)
     seconds = time.process_time() - start
-    polygon = getattr(assessment, "region", None)
-    return Half(own, tuple(message.code for message in assessment.failures), said, seconds, polygon and polygon.polygon)
+    return Half(own, tuple(message.code for message in assessment.failures), said, seconds, assessment.region.polygon)
 
 
 def difference(one: Camera, other: Camera, pixels: np.ndarray) -> float:
@@ -114,8 +109,6 @@ def expected(one: Camera, other: Camera, pixels: np.ndarray) -> float:
 
 
 def worst_of(own: Calibration) -> float:
-    from camcal.quality.projection_uncertainty import projection_uncertainty
-
     figures = projection_uncertainty(own.camera, observed=own.pixels).figures()
     return figures.get("worst_px", np.nan)
 
@@ -137,7 +130,7 @@ def rows(folder: Path, splits: int, task: tuple[str, str | None]) -> tuple[str, 
             pixels = grid_within(np.concatenate([one.pixels, other.pixels]))
             for own in halves:
                 if own.trusted and own.polygon is not None:
-                    pixels = pixels[in_hull(pixels, own.polygon)]
+                    pixels = pixels[in_polygon(pixels, own.polygon)]
             if len(pixels) > 20:
                 observed = difference(one.camera, other.camera, pixels)
                 predicted = expected(one.camera, other.camera, pixels)

@@ -20,6 +20,7 @@ CANDIDATE_COLUMNS = (
     Column("uncertainty over the image", "px"),
     Column("reason", wraps=True),
 )
+_LEAST_OFFSET = 1e-6  # of the board's longer side: corners that are off by less are where they were drawn
 _SHOWN = 2.0  # standard deviations: less of a board's shape is not worth a line
 
 
@@ -128,9 +129,9 @@ def _board_lines(calibration: Calibration) -> list[str]:
             pairs = calibration.correlations.items()
             with_focal = ", ".join(f"{pair[1]} {share:+.2f}" for pair, share in pairs if pair[0] == term)
             lines.append(f"board: {term} {shown} %" + (f" (correlation with {with_focal})" if with_focal else ""))
-    if surface.offsets is not None:
-        largest = factor * float(abs(surface.offsets).max())
-        lines.append(f"Per-corner board offsets estimated; largest {largest:.2g} {unit}")
+    largest = 0.0 if surface.offsets is None else float(abs(surface.offsets).max())
+    if largest > _LEAST_OFFSET * max(calibration.board.extent):
+        lines.append(f"Per-corner board offsets estimated; largest {factor * largest:.2g} {unit}")
     return lines or ["board: planar as designed, within the uncertainty"]
 
 

@@ -68,7 +68,7 @@ def camera_verdict(camera: CalibratedCamera, warnings: Sequence[Message]) -> Pag
     figures = camera.uncertainty.figures()
     inside = figures.get("inside_rms_px", figures.get("rms_px", float("nan")))
     words = f"Projections of far points are uncertain by {_px(inside)} RMS where corners were seen{where} (1 sigma)."
-    words = f"It holds{region_words(camera.assessment.region) or ' in the whole image'}. {words}"
+    words = f"The verdict holds{region_words(camera.assessment.region) or ' in the whole image'}. {words}"
     return verdict(camera.assessment.failures, warnings, words)
 
 

@@ -38,7 +38,7 @@ from camcal.tasks.calibration.board_views import BoardViews, board_views
 from camcal.tasks.calibration.camera_result import Channel, camera_file, channel_figures
 from camcal.tasks.calibration.corner_refinement import RefinementSummary, is_refined, refine_corners
 from camcal.tasks.calibration.image_circle_of_views import circle_lines, known_circle, with_circle
-from camcal.tasks.calibration.model_selection import compared, select, solve_given
+from camcal.tasks.calibration.model_selection import Selection, compared, select, solve_given
 from camcal.tasks.calibration.options import CalibrateOptions
 from camcal.tasks.calibration.video_frames import FrameRecord
 from camcal.tasks.calibration.video_frames import as_data as frame_data
@@ -147,17 +147,9 @@ def calibrated(
     try:
         if refined:
             brief = _brief(seen, how, options.model is None, circle, progress)
-            brief = solve(seen.detections.views).calibration if brief is None else brief
-            seen, refinement = _refined(first := seen, brief, options, progress)
-        progress.start("solving", None)
-        try:
-            selection = solve(seen.detections.views)
-        except (InsufficientData, NotConverged) as error:
-            if refinement is None:
-                raise
-            text = f"corner refinement with the calibrated lens skipped, as with --no-refine: {error.message}"
-            seen, refinement, found = first, None, (Message("refinement_failed", text),)
-            selection = solve(seen.detections.views)
+            seen, selection, refinement, found = _refined(seen, brief, solve, options, progress)
+        else:
+            selection = _selected(solve, seen, progress)
     except (InsufficientData, NotConverged) as error:
         if options.report is not None:
             from camcal.tasks.reports.camera_page import write_refusal
@@ -166,7 +158,6 @@ def calibrated(
         raise
     calibration, assessment = selection.calibration, selection.assessment
     found += selection.warnings
-    progress.finish()
     if refinement is not None and options.save_detections:
         detections.write(options.save_detections, seen.detections)
     colours = COLOURS if options.reading.colours else ()
@@ -175,7 +166,8 @@ def calibrated(
     figures = _write_figures(options, calibration, assessment.uncertainty, selection.candidates, circle)
     if options.output is not None:
         native.write(options.output, file)
-    found += assessment.warnings
+    said = {message.code for message in seen.warnings}
+    found += tuple(own for own in assessment.warnings if own.code != "unit" or "unknown_board_size" not in said)
     warn_of(found, progress)
     report = CalibrateReport(
         calibration,
@@ -237,14 +229,37 @@ def _brief(
         progress.finish()
 
 
+def _selected(
+    solve: Callable[[Sequence[BoardDetection]], Selection], seen: BoardViews, progress: Progress
+) -> Selection:
+    progress.start("solving", None)
+    try:
+        return solve(seen.detections.views)
+    finally:
+        progress.finish()
+
+
 def _refined(
-    seen: BoardViews, brief: Calibration, options: CalibrateOptions, progress: Progress
-) -> tuple[BoardViews, RefinementSummary]:
-    """Return the views with their corners measured where a brief calibration expects them, and what changed."""
+    seen: BoardViews,
+    brief: Calibration | None,
+    solve: Callable[[Sequence[BoardDetection]], Selection],
+    options: CalibrateOptions,
+    progress: Progress,
+) -> tuple[BoardViews, Selection, RefinementSummary | None, tuple[Message, ...]]:
+    """Return the views with their corners measured where a calibration expects them, what they lead to, what changed,
+    and warnings. Views that a calibration cannot be made from then stay as they were.
+
+    brief: the calibration; None: a whole one, as no brief one would do.
+    """
+    brief = _selected(solve, seen, progress).calibration if brief is None else brief
     how_read = options.reading, options.jobs, options.batch
     look = refine_corners(brief, seen.detections.views, seen.videos, *how_read, progress, seen.files)
     better = replace(seen, detections=replace(seen.detections, views=look.views))
-    return better, RefinementSummary(look.recovered, look.lost)
+    try:
+        return better, _selected(solve, better, progress), RefinementSummary(look.recovered, look.lost), ()
+    except (InsufficientData, NotConverged) as error:
+        text = f"corner refinement with the calibrated lens skipped, as with --no-refine: {error.message}"
+        return seen, _selected(solve, seen, progress), None, (Message("refinement_failed", text),)
 
 
 def _channel(calibration: Calibration, colour: str, views: Sequence[BoardDetection]) -> Channel:
