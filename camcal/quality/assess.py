@@ -76,7 +76,7 @@ def assess(
     """Return the failures and warnings of a calibration by all criteria.
 
     circle: the image circle, where there is one: the lens is not assessed outside of it. candidates: other lens models
-    that were tried, which are named where the one in use does not do.
+    that were tried, in their order, which are named where the one in use does not do.
     """
     camera, trend = calibration.camera, radial_trend(calibration)
     uncertainty = projection_uncertainty(camera, observed=calibration.pixels, circle=circle)
@@ -118,10 +118,9 @@ def other_models(used: str, candidates: Sequence[CandidateModel]) -> str:
     none was tried.
     """
     others = [own for own in candidates if own.name != used and own.scores is not None]
-    passing = [own for own in others if not own.failures]
-    if passing:
-        best = max(passing, key=lambda own: own.score)
-        return f"use --model {best.name}, which passes all checks in a brief calibration"
+    passing = next((own.name for own in others if not own.failures), None)
+    if passing is not None:
+        return f"use --model {passing}, which passes all checks in a brief calibration"
     names = ", ".join(own.name for own in others)
     return f"none of {names} passes all checks either: add views with the board all over the image" if names else ""
 

@@ -479,7 +479,6 @@ def test_a_lens_model_that_does_not_pass_is_not_used_while_another_one_does(monk
 
 def test_a_refused_lens_model_is_answered_by_one_that_was_tried_and_passes():
     scene, views = lens("kannala_brandt4", 10)
-    found = None
     try:
         found = solve_given(views, scene.board, replace(OPTIONS, model=model_named("pinhole")))
     except InsufficientData as error:
@@ -490,3 +489,11 @@ def test_a_refused_lens_model_is_answered_by_one_that_was_tried_and_passes():
     again = solve_given(views, scene.board, replace(OPTIONS, model=model_named(named)))
     assert again.assessment.trustworthy
     assert again.candidates == ()
+
+
+def test_a_lens_model_that_makes_the_views_look_parallel_is_named_as_the_cause():
+    scene, views = lens("kannala_brandt4", 10)
+    with pytest.raises(InsufficientData) as refused:
+        solve_given(views, scene.board, replace(OPTIONS, model=model_named("pinhole")))
+    cause = r"the lens model pinhole does not fit these views: use --model \w+, which passes all checks in a brief.*"
+    assert re.fullmatch(cause, refused.value.message)

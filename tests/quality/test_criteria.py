@@ -565,6 +565,18 @@ def test_a_lens_that_is_not_known_where_it_was_used_or_not_one_is_a_failure_the_
     assert (len(bad.failures), len(bad.warnings)) == (1, 2)
 
 
+def test_a_failure_that_explains_others_silences_them(good):
+    step = changing(certain(good, 0.01), "step", 9.0, 30.0, 12)
+    two = of_two_cameras(replace(step, within_views=WithinViews(1.0, flex=(SIDE, 9.0))), 2.0)
+    assert set(by_code(step)) == {"focal_change"}
+    assert set(by_code(two)) == {"several_cameras"}
+    parallel = known_within(tilted(good, 8), 0.3)
+    assert set(by_code(tilted(good, 8))) == {"tilt"}
+    assert set(by_code(parallel)) == {"known_region"}
+    assert "board tilted by up to 8°" in by_code(parallel)["known_region"].text
+    assert set(by_code(folding(reaching(known_within(good, 0.3), 800), 700))) == {"not_invertible"}
+
+
 def test_messages_about_views_have_their_images(good):
     def of(calibration):
         return {code: len(found.values.get("images", ())) for code, found in by_code(calibration).items()}
@@ -637,7 +649,7 @@ def test_a_lens_model_is_proposed_if_it_was_tried_and_passes(good):
     refused = replace(passing[1], scores=np.full(2, 9.0), failures=("not_invertible",))
     failed = CandidateModel("kannala_brandt5t", reason="no start was found")
     assert text(used, *passing).endswith("; use --model opencv8, which passes all checks in a brief calibration")
-    assert "use --model opencv8," in text(used, passing[0], refused, failed)
+    assert "use --model opencv8," in text(refused, used, passing[0], failed)
     none = "; none of kannala_brandt4 passes all checks either: add views with the board all over the image"
     assert text(used, refused, failed).endswith(none)
 

@@ -25,7 +25,7 @@ from camcal.messages import Message
 from camcal.options import command_line
 from camcal.progress import SILENT, Progress, warn_of
 from camcal.quality.assess import Assessment
-from camcal.quality.lens_choice import judge, ranked
+from camcal.quality.lens_choice import ranked
 from camcal.quality.projection_uncertainty import ProjectionUncertainty, too_uncertain
 from camcal.raw.detection_image import COLOURS
 from camcal.report.calibration import as_data, candidates_data, uncertainty_data
@@ -220,11 +220,8 @@ def _brief(
     progress.start("solving", None)
     views, board = seen.detections.views, seen.board
     try:
-        if choose:
-            candidates = compared(views, board, how, circle)
-        else:
-            candidates = judge(compare_models(views, board, how, [how.model]), circle)
-        return ranked(candidates, DEFAULT_MODEL)[0].calibration
+        found = compared(views, board, how, circle) if choose else compare_models(views, board, how, [how.model])
+        return ranked(found, DEFAULT_MODEL)[0].calibration
     finally:
         progress.finish()
 

@@ -17,7 +17,8 @@ from camcal.targets.detection import BoardDetection
 # the simplest first: by the number of their parameters
 CANDIDATES = ("pinhole", "opencv4", "kannala_brandt4", "opencv5", "kannala_brandt5t", "opencv8")
 _CONTAINED = ("pinhole", "opencv4")  # DEFAULT_MODEL with coefficients at zero
-_OF_THE_LENS = {"lens_model_does_not_fit", "lens_model_or_blur"}  # refusals that another lens model may remedy
+# Refusals that another lens model may remedy; a lens that does not fit may have an infinite focal length.
+_OF_THE_LENS = {"lens_model_does_not_fit", "lens_model_or_blur", "no_tilted_views", "undetermined_focal_length"}
 _TRIES = 2  # calibrations at most, where the first is not to be trusted
 _FAILURES = (InvalidInput, InsufficientData, NotConverged)
 
@@ -61,13 +62,13 @@ def select(
             failure = failure or error
             continue
         tried += 1
-        found = Selection(calibration, assess(calibration, circle, candidates), candidates)
+        found = Selection(calibration, assess(calibration, circle, order), candidates)
         if taken is None or found.assessment.trustworthy:
             taken = _with_reason(found, order[0].name, failure if taken is None else None)
         if found.assessment.trustworthy:
             break
     if taken is None:
-        raise _with_remedy(failure or NotConverged("no lens model converged"), "", candidates)
+        raise failure or NotConverged("no lens model converged")
     return taken
 
 
@@ -81,12 +82,13 @@ def solve_given(
     try:
         calibration = intrinsics.calibrate(views, board, options)
     except (InsufficientData, NotConverged) as error:
-        others = compared(views, board, free, circle) if _is_of_the_lens(error) else ()
+        others = ranked(compared(views, board, free, circle), DEFAULT_MODEL) if _is_of_the_lens(error) else ()
         raise _with_remedy(error, options.model.name, others) from error
     found = Selection(calibration, assess(calibration, circle))
     if found.assessment.trustworthy:
         return found
-    return replace(found, assessment=assess(calibration, circle, compared(views, board, free, circle)))
+    others = ranked(compared(views, board, free, circle), DEFAULT_MODEL)
+    return replace(found, assessment=assess(calibration, circle, others))
 
 
 def compared(
@@ -107,11 +109,14 @@ def _is_of_the_lens(error: CamcalError) -> bool:
 
 
 def _with_remedy(error: CamcalError, used: str, candidates: Sequence[CandidateModel]) -> CamcalError:
-    """Return the refusal with a lens model that was tried and passes, or that none of those that were tried does."""
+    """Return the refusal with a lens model that was tried and passes, which is the cause then, or that none of those
+    that were tried does.
+    """
     remedy = other_models(used, candidates)
     if not remedy or not _is_of_the_lens(error):
         return error
-    text = f"{error.message}: {remedy}"
+    passes = any(own.scores is not None and not own.failures for own in candidates)
+    text = f"the lens model {used} does not fit these views: {remedy}" if passes else f"{error.message}; {remedy}"
     return type(error)(text, where=error.where, failures=[replace(own, text=text) for own in error.failures])
 
 

@@ -52,9 +52,10 @@ class RigModels:
     candidates: Mapping[tuple[str, ...], tuple[CandidateModel, ...]] = field(default_factory=dict)
     lines: tuple[str, ...] = ()
 
-    def candidates_of(self, name: str) -> tuple[CandidateModel, ...]:
-        """Return the models that were compared for a camera, none where its model was given."""
-        return next((compared for names, compared in self.candidates.items() if name in names), ())
+    def candidates_of(self, name: str) -> list[CandidateModel]:
+        """Return the models that were compared for a camera, in their order, none where its model was given."""
+        found = next((compared for names, compared in self.candidates.items() if name in names), ())
+        return ranked(found, DEFAULT_MODEL)
 
 
 def given_lenses(settings: RigSettings, names: Sequence[str], progress: Progress) -> dict[str, GivenLens]:
