@@ -122,7 +122,8 @@ def covariance_of(
     least = np.maximum(1 / scale, 1.0)
     mixed *= np.outer(least, least)
     doubted = evidence + (1 - evidence) * min((_FEW / views) ** 2, 1.0)
-    return np.asarray(doubted * mixed + (1 - doubted) * claimed)
+    result = doubted * mixed + (1 - doubted) * claimed
+    return np.asarray((result + result.T) / 2)  # sums of strongly correlated parameters are symmetric to rounding only
 
 
 def _weights_of_others(left_out: Sequence[Array], metric: Array, evidence: float, products: Array | None) -> Array:

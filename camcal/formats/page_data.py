@@ -32,7 +32,10 @@ _MOST_PHOTOS = 1000
 _ESCAPES = {ord(letter): f"\\u{ord(letter):04x}" for letter in "<>&\u2028\u2029"}
 
 _MESSAGE = mapping({"code": text, "text": text}, {"values": mapping({}, others=plain), "where": text})
-_CANDIDATE = mapping({"name": text, "corners": integer(0)}, {"total": number(), "sigma_px": number(0), "reason": text})
+_CANDIDATE = mapping(
+    {"name": text, "corners": integer(0)},
+    {"total": number(), "sigma_px": number(0), "reason": text, "map_px": number(0), "failures": items(text)},
+)
 _CAPTURES = mapping(
     {
         "cameras": items(text),

@@ -19,8 +19,9 @@ from camcal.quality.assess import assess
 GAIN = 0.10
 _MUCH, _LITTLE = ((GAIN, 1.5), (0.02, 2.5)), ((0.005, 1.5),)
 # Of models that predict alike: the share of the map's standard deviation below which another one is better known, as
-# single lenses differ by chance; and that deviation, in prediction errors, below which it is known well enough.
-_BETTER_KNOWN, _WELL_KNOWN = 0.7, 1.0
+# single lenses differ by chance; and that deviation, px, below which it is known well enough, as it is below the
+# prediction error.
+_BETTER_KNOWN, _WELL_KNOWN_PX = 0.7, 0.02
 _NO_RAY = 0.01  # of the image diagonal: standard deviation that a pixel counts with for which the lens has no ray
 
 
@@ -60,9 +61,11 @@ def chosen(candidates: Sequence[CandidateModel], preferred: str) -> CandidateMod
     first = next((own for own in candidates if own.name == preferred), None)
     if first is None or _beats(best, first, _MUCH):
         first = next(own for own in candidates if not _beats(best, own, _LITTLE))
-    if first.map_px is None or first.sigma_px is None or first.map_px <= _WELL_KNOWN * first.sigma_px:
+    if first.map_px is None or first.sigma_px is None or first.map_px <= max(first.sigma_px, _WELL_KNOWN_PX):
         return first
     alike = [own for own in candidates if own.map_px is not None and not _beats(best, own, _MUCH)]
+    # what priors hold may seem to be known well
+    alike = [own for own in alike if own.calibration is None or not own.calibration.held_by_prior]
     known = min(alike, key=lambda own: own.map_px or 0.0, default=first)
     return known if (known.map_px or 0.0) < _BETTER_KNOWN * first.map_px else first
 

@@ -182,7 +182,18 @@ def projection_uncertainty(
     displacements = direction_displacements(camera, pixels, inside)
     if circle is not None:
         displacements = np.where(circle.contains(pixels)[:, None, None], displacements, np.nan)
-    return ProjectionUncertainty(u, v, displacements @ covariance @ displacements.transpose(0, 2, 1), inside)
+    moved = displacements @ _root(covariance)
+    return ProjectionUncertainty(u, v, moved @ moved.transpose(0, 2, 1), inside)
+
+
+def _root(covariance: Array) -> Array:
+    """Return a root R (K, K) of a covariance R Rᵀ, by which no variance of what it moves is negative, as it may be by
+    rounding where parameters are strongly correlated.
+    """
+    std = np.sqrt(np.diag(covariance))
+    scale = np.where(std > 0, std, 1.0)
+    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
+    return np.asarray(scale[:, None] * vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
 def grid_pixels(u: Array, v: Array) -> Array:

@@ -1,6 +1,7 @@
 """Choice of the lens model by what is known of the whole image, at its limits."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -28,6 +29,22 @@ def test_of_models_that_predict_alike_the_one_that_is_known_better_is_used(ratio
 def test_a_lens_that_is_known_better_than_it_predicts_is_kept(map_px, taken):
     default, other = candidate("default", 1.0, map_px), candidate("other", 1.0, map_px / 2)
     assert chosen([default, other], "default").name == taken
+
+
+@pytest.mark.parametrize(
+    ("map_px", "taken"), [(0.01, "default"), (0.019, "default"), (0.021, "other"), (0.04, "other")]
+)
+def test_a_lens_that_is_known_to_a_fiftieth_of_a_pixel_is_kept(map_px, taken):
+    default, other = candidate("default", 1.0, map_px, 0.001), candidate("other", 1.0, map_px / 2, 0.001)
+    assert chosen([default, other], "default").name == taken
+
+
+def test_coefficients_that_a_prior_holds_are_not_known_better():
+    default, other = candidate("default", 1.0, 2.0), candidate("other", 1.0, 0.2)
+    held = replace(other, calibration=SimpleNamespace(held_by_prior=("k4",)))
+    free = replace(other, calibration=SimpleNamespace(held_by_prior=()))
+    assert chosen([default, held], "default").name == "default"
+    assert chosen([default, free], "default").name == "other"
 
 
 @pytest.mark.parametrize(("worse", "taken"), [(0.01, "other"), (0.0199, "other"), (0.021, "default"), (0.2, "default")])

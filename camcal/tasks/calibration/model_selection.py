@@ -10,7 +10,7 @@ from camcal.cameras.validity import ImageCircle
 from camcal.errors import CamcalError, InsufficientData, InvalidInput, NotConverged
 from camcal.messages import Message
 from camcal.quality.assess import Assessment, assess, other_models
-from camcal.quality.lens_choice import judge, ranked
+from camcal.quality.lens_choice import GAIN, judge, ranked
 from camcal.targets.board import Board
 from camcal.targets.detection import BoardDetection
 
@@ -136,7 +136,7 @@ def _with_reason(selection: Selection, first: str, failure: CamcalError | None) 
         return replace(selection, warnings=(_failed(name, DEFAULT_MODEL, str(default.reason)),))
     words = f"lens model {name}: prediction error of left-out views {taken.sigma_px:.2g} px, {DEFAULT_MODEL} "
     words += f"{default.sigma_px:.2g} px"
-    if taken.map_px is not None and default.map_px is not None:
+    if taken.map_px is not None and default.map_px is not None and taken.score < default.score + GAIN:
         words += f"; projection uncertainty over the image {taken.map_px:.2g} px, {default.map_px:.2g} px"
     return replace(selection, lines=(words,))
 

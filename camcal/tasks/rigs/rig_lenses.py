@@ -3,7 +3,7 @@
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -284,7 +284,9 @@ def _kinds(names: Sequence[str], found: Mapping[str, tuple[CandidateModel, ...]]
     """
     joint = together([found[name] for name in names])
     model = ranked(joint, DEFAULT_MODEL)[0].name
-    others = [name for name in names if ranked(found[name], model)[0].name != model]
+    # by prediction and failures alone: of one model for a kind, what is known of each lens is no reason to give it up
+    alone = {name: [replace(own, map_px=None) for own in found[name]] for name in names}
+    others = [name for name in names if ranked(alone[name], model)[0].name != model]
     if not others or len(names) == 1:
         return [_Kind(tuple(names), joint, model)]
     same = [name for name in names if name not in others]
