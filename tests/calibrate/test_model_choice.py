@@ -447,7 +447,9 @@ def verdicts(monkeypatch, failing, brief):
         return tuple(replace(own, failures=("lens_model",) if own.name in brief else ()) for own in candidates)
 
     def assess(calibration, _circle=None, candidates=()):
-        return SimpleNamespace(trustworthy=calibration.camera.model.name not in failing, candidates=candidates)
+        trustworthy = calibration.camera.model.name not in failing
+        failures = () if trustworthy else (SimpleNamespace(code="known_region"),)
+        return SimpleNamespace(trustworthy=trustworthy, failures=failures, candidates=candidates)
 
     monkeypatch.setattr(model_selection, "judge", judge)
     monkeypatch.setattr(model_selection, "assess", assess)
@@ -475,6 +477,8 @@ def test_a_lens_model_that_does_not_pass_is_not_used_while_another_one_does(monk
         assert taken != "opencv5"
     assert found.calibration.camera.model.name == taken
     assert found.assessment.trustworthy == (taken not in failing)
+    if not found.assessment.trustworthy:  # those that were refused are not proposed
+        assert all(own.failures for own in found.assessment.candidates if own.name in failing)
 
 
 def test_a_refused_lens_model_is_answered_by_one_that_was_tried_and_passes():

@@ -52,24 +52,26 @@ def select(
     order = ranked(candidates, DEFAULT_MODEL)
     failure: CamcalError | None = None
     taken: Selection | None = None
-    tried = 0
+    refused: dict[str, tuple[str, ...]] = {}
     for own in order:
-        if taken is not None and (own.failures or tried >= _TRIES):
+        if taken is not None and (own.failures or len(refused) >= _TRIES):
             break
         try:
             calibration = intrinsics.calibrate(views, board, replace(options, model=model_named(own.name)))
         except _FAILURES as error:
             failure = failure or error
             continue
-        tried += 1
         found = Selection(calibration, assess(calibration, circle, order), candidates)
         if taken is None or found.assessment.trustworthy:
             taken = _with_reason(found, order[0].name, failure if taken is None else None)
         if found.assessment.trustworthy:
-            break
+            return taken
+        refused[own.name] = tuple(message.code for message in found.assessment.failures)
     if taken is None:
         raise failure or NotConverged("no lens model converged")
-    return taken
+    # a model that was refused is none to name, however brief calibrations with it are judged
+    left = [replace(own, failures=refused.get(own.name, own.failures)) for own in order]
+    return replace(taken, assessment=assess(taken.calibration, circle, left))
 
 
 def solve_given(
