@@ -238,8 +238,8 @@ class CalibrateOptions(OptionsRecord):
         str | None,
         Option(
             "Exit with 7 if the calibration is not trustworthy: the lens model does not fit or is not invertible where "
-            "corners are, the focal length is uncertain or changes between views, or the views are of several "
-            "cameras. The camera file is written all the same.",
+            "corners are, projections are uncertain, the focal length changes between views, or the views are of "
+            "several cameras. The camera file is written all the same.",
             metavar=TRUSTWORTHY,
             group=CHECKS,
             choices=(TRUSTWORTHY,),
