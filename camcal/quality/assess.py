@@ -15,11 +15,10 @@ from scipy.stats import t as student
 
 from camcal.arrays import Array, FloatArray
 from camcal.calibrate.intrinsics import Calibration, CandidateModel
-from camcal.calibrate.refusals import tilt_spread
 from camcal.calibrate.view_records import names_of
 from camcal.cameras.validity import ImageCircle, folds_inside
 from camcal.messages import Message, counted
-from camcal.quality.criteria import CRITERIA, KNOWN_PX, between_views, message
+from camcal.quality.criteria import CRITERIA, KNOWN_PX, between_views, largest_tilt_deg, message
 from camcal.quality.projection_uncertainty import (
     KnownRegion,
     ProjectionUncertainty,
@@ -42,6 +41,7 @@ _EXPLAINED = {
     "known_region": ("tilt",),
     "board_scale": ("board_size",),
 }
+_EXACT_PX = 1e-6  # what a projection is known to at best, where all parameters are held
 _MOSTLY = 0.5  # of a view's corners
 _BOARD_LENGTHS = (1e-3, CRITERIA["board_scale"].limit)  # m, between targets of microscopes and sides of buildings
 _CELLS = (10, 8)
@@ -113,15 +113,21 @@ def _limit(code: str) -> float:
     return CRITERIA[code].limit
 
 
+def passing_model(used: str, candidates: Sequence[CandidateModel]) -> str | None:
+    """Return the first lens model other than the one in use that passes, None if there is none."""
+    return next(
+        (own.name for own in candidates if own.name != used and own.scores is not None and not own.failures), None
+    )
+
+
 def other_models(used: str, candidates: Sequence[CandidateModel]) -> str:
     """Return what to do about the lens model: one that passes, or that none of those that were tried does, or "" where
     none was tried.
     """
-    others = [own for own in candidates if own.name != used and own.scores is not None]
-    passing = next((own.name for own in others if not own.failures), None)
+    passing = passing_model(used, candidates)
     if passing is not None:
         return f"use --model {passing}, which passes all checks in a brief calibration"
-    names = ", ".join(own.name for own in others)
+    names = ", ".join(own.name for own in candidates if own.name != used and own.scores is not None)
     return f"none of {names} passes all checks either: add views with the board all over the image" if names else ""
 
 
@@ -165,7 +171,7 @@ def _lens_model(calibration: Calibration, trend: "Trend", stated_px: float, othe
     text = f"residuals point {way} by {size:.2f} px at {trend.ring[0]:.0f} to {trend.ring[1]:.0f} px from the centre: "
     if size > max(_limit("lens_model") * stated_px, CRITERIA["lens_model"].minimum_px):
         text += f"{name} does not fit this lens" + (f"; {others}" if others else ", try another --model")
-        yield message("lens_model", text, size / stated_px if stated_px else np.inf)
+        yield message("lens_model", text, size / max(stated_px, _EXACT_PX))
     else:
         yield message("residual_pattern", f"{text}included in the projection uncertainty", size / calibration.sigma_px)
 
@@ -175,14 +181,11 @@ def _region(calibration: Calibration, region: KnownRegion, others: str) -> Itera
         return
     camera = calibration.camera
     share = max((camera.std(name) or 0.0) / camera.value(name) for name in ("fx", "fy"))
-    tilt = np.degrees(
-        tilt_spread(np.stack([own.camera_T_board.rotation for own in calibration.used if own.camera_T_board]))
-    )
     remedy = others or "add views tilted by 20° to 45° about both axes"
     text = (
         f"projection uncertainty below {region.limit_px:.2g} px in {100 * region.of_observed:.0f} % of the area with "
         f"corners (at least {100 * _limit('known_region'):.0f} % needed; focal length ± {100 * share:.2g} %, board "
-        f"tilted by up to {tilt:.0f}°, {counted(len(calibration.used), 'view')}): {remedy}"
+        f"tilted by up to {largest_tilt_deg(calibration):.0f}°, {counted(len(calibration.used), 'view')}): {remedy}"
     )
     yield message("known_region", text, region.of_observed)
 

@@ -294,9 +294,14 @@ def _blur(found: BetweenViews) -> Iterator[Message]:
         yield message("motion_blur", text, max(view.ratio for view in blurred), images)
 
 
-def _tilts(calibration: Calibration) -> Iterator[Message]:
+def largest_tilt_deg(calibration: Calibration) -> float:
+    """Return the largest angle between the board's normal in any view and their mean direction."""
     poses = [view.camera_T_board for view in calibration.used if view.camera_T_board]
-    spread = np.degrees(tilt_spread(np.stack([pose.rotation for pose in poses])))
+    return float(np.degrees(tilt_spread(np.stack([pose.rotation for pose in poses]))))
+
+
+def _tilts(calibration: Calibration) -> Iterator[Message]:
+    spread = largest_tilt_deg(calibration)
     if spread < CRITERIA["tilt"].limit:
         text = f"largest board tilt {spread:.0f}°: tilt it by 30° to 45° to determine the focal length"
         yield message("tilt", text, spread)

@@ -27,10 +27,10 @@ _NO_RAY = 0.01  # of the image diagonal: standard deviation that a pixel counts 
 
 def judge(candidates: Sequence[CandidateModel], circle: ImageCircle | None = None) -> tuple[CandidateModel, ...]:
     """Return the candidates with what the verdict would be on their brief calibrations; circle: the image circle."""
-    return tuple(own if own.scores is None else _judged(own, circle) for own in candidates)
+    return tuple(own if own.scores is None else _judge_one(own, circle) for own in candidates)
 
 
-def _judged(own: CandidateModel, circle: ImageCircle | None) -> CandidateModel:
+def _judge_one(own: CandidateModel, circle: ImageCircle | None) -> CandidateModel:
     if own.calibration is None:
         return own
     assessment, size = assess(own.calibration, circle), own.calibration.camera.image_size
@@ -41,7 +41,7 @@ def _judged(own: CandidateModel, circle: ImageCircle | None) -> CandidateModel:
     return replace(own, map_px=float(np.sqrt(np.mean(std**2))), failures=failures)
 
 
-def ranked(candidates: Sequence[CandidateModel], preferred: str) -> list[CandidateModel]:
+def rank_models(candidates: Sequence[CandidateModel], preferred: str) -> list[CandidateModel]:
     """Return the candidates in the order in which they are to be used; candidates: the simplest first."""
     scored = [own for own in candidates if own.scores is not None]
     result: list[CandidateModel] = []

@@ -24,7 +24,7 @@ from camcal.cameras.observations import Observations
 from camcal.cameras.validity import field_of_view, folds_inside
 from camcal.errors import InsufficientData, InvalidInput, NotConverged
 from camcal.geometry import rotation as so3
-from camcal.quality.lens_choice import GAIN, chosen, ranked
+from camcal.quality.lens_choice import GAIN, chosen, rank_models
 from camcal.solve.descent import Stopping
 from camcal.solve.least_squares import minimise
 from camcal.targets.board import Board
@@ -406,7 +406,7 @@ def test_the_next_best_model_is_used_where_the_first_one_does_not_settle(monkeyp
 
     monkeypatch.setattr(model_selection.intrinsics, "calibrate", failing)
     found = select(views, scene.board, OPTIONS)
-    order = ranked(found.candidates, DEFAULT_MODEL)
+    order = rank_models(found.candidates, DEFAULT_MODEL)
     assert tried[:2] == [own.name for own in order[:2]]
     assert tried[0] == "kannala_brandt4"
     assert found.calibration.camera.model.name == tried[1]
@@ -469,7 +469,7 @@ def test_a_lens_model_that_does_not_pass_is_not_used_while_another_one_does(monk
     scene, views = lens("opencv5", 8)
     verdicts(monkeypatch, failing, brief)
     found = select(views, scene.board, OPTIONS)
-    order = [own.name for own in ranked(found.candidates, DEFAULT_MODEL)]
+    order = [own.name for own in rank_models(found.candidates, DEFAULT_MODEL)]
     if failing == ("opencv5",) and not brief:
         taken = order[1]
     if brief == ("opencv5",):
@@ -501,3 +501,12 @@ def test_a_lens_model_that_makes_the_views_look_parallel_is_named_as_the_cause()
         solve_given(views, scene.board, replace(OPTIONS, model=model_named("pinhole")))
     cause = r"the lens model pinhole does not fit these views: use --model \w+, which passes all checks in a brief.*"
     assert re.fullmatch(cause, refused.value.message)
+
+
+def test_a_refused_lens_model_is_not_called_the_cause_because_its_own_brief_calibration_passes():
+    own, other = CandidateModel("opencv5", np.ones(2), 20), CandidateModel("opencv8", np.ones(2), 20, failures=("any",))
+    refused = NotConverged("calibration not converged")
+    text = model_selection._with_remedy(refused, "opencv5", [own, other]).message
+    assert text.startswith("calibration not converged; none of opencv8 passes all checks either")
+    text = model_selection._with_remedy(refused, "opencv5", [own, replace(other, failures=())]).message
+    assert text.startswith("the lens model opencv5 does not fit these views: use --model opencv8, which passes")

@@ -565,6 +565,12 @@ def test_a_lens_that_is_not_known_where_it_was_used_or_not_one_is_a_failure_the_
     assert (len(bad.failures), len(bad.warnings)) == (1, 2)
 
 
+def test_a_pattern_under_a_lens_that_was_given_has_a_finite_value(good):
+    camera = replace(good.camera, covariance=np.zeros((9, 9)))
+    found = by_code(pointing(replace(good, camera=camera), 1.0))["lens_model"]
+    assert math.isfinite(found.values["value"])  # as JSON has no infinity
+
+
 def test_a_failure_that_explains_others_silences_them(good):
     step = changing(certain(good, 0.01), "step", 9.0, 30.0, 12)
     two = of_two_cameras(replace(step, within_views=WithinViews(1.0, flex=(SIDE, 9.0))), 2.0)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from camcal.calibrate.intrinsics import CandidateModel
-from camcal.quality.lens_choice import chosen, ranked
+from camcal.quality.lens_choice import chosen, rank_models
 
 VIEWS, CORNERS = 10, 100
 
@@ -58,6 +58,9 @@ def test_models_that_pass_come_first_then_those_that_do_not_then_those_without_a
     best = candidate("best", 2.0, 0.1, failures=("not_invertible",))
     second, third = candidate("second", 1.5, 0.1), candidate("third", 1.0, 0.1)
     failed, default = CandidateModel("failed", reason="no start"), CandidateModel("default", reason="no start")
-    order = ranked([failed, default, third, best, second], "default")
+    order = rank_models([failed, default, third, best, second], "default")
     assert [own.name for own in order] == ["second", "third", "best", "default", "failed"]
-    assert [own.name for own in ranked([replace(third, failures=("lens_model",)), best], "third")] == ["best", "third"]
+    assert [own.name for own in rank_models([replace(third, failures=("lens_model",)), best], "third")] == [
+        "best",
+        "third",
+    ]

@@ -16,7 +16,7 @@ from camcal.cameras.model import Camera
 from camcal.cameras.validity import ImageCircle, folds_inside
 from camcal.formats import detections, native
 from camcal.formats.camera_file import CameraEntry, CameraFile, ValidRegion
-from camcal.quality.lens_choice import judge, ranked
+from camcal.quality.lens_choice import judge, rank_models
 from camcal.raw.options import AS_IMAGES
 from camcal.simulate.scene import observe, views
 from camcal.targets.board import Board
@@ -185,7 +185,7 @@ def test_a_fold_outside_of_the_circle_is_no_reason_for_another_lens_model(good, 
         for name, score in scores.items()
     ]
     circle = ImageCircle(size, centre, share * folds_inside(cameras["opencv5"]).radius_px)
-    assert ranked(judge(candidates, circle), "opencv5")[0].name == taken
+    assert rank_models(judge(candidates, circle), "opencv5")[0].name == taken
 
 
 def test_calibrate_saves_the_circle_with_the_detections(corners, tmp_path):

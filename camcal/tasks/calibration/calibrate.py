@@ -25,7 +25,7 @@ from camcal.messages import Message
 from camcal.options import command_line
 from camcal.progress import SILENT, Progress, warn_of
 from camcal.quality.assess import Assessment
-from camcal.quality.lens_choice import ranked
+from camcal.quality.lens_choice import rank_models
 from camcal.quality.projection_uncertainty import ProjectionUncertainty, too_uncertain
 from camcal.raw.detection_image import COLOURS
 from camcal.report.calibration import as_data, candidates_data, uncertainty_data
@@ -149,7 +149,7 @@ def calibrated(
             brief = _brief(seen, how, options.model is None, circle, progress)
             seen, selection, refinement, found = _refined(seen, brief, solve, options, progress)
         else:
-            selection = _selected(solve, seen, progress)
+            selection = _solve_views(solve, seen, progress)
     except (InsufficientData, NotConverged) as error:
         if options.report is not None:
             from camcal.tasks.reports.camera_page import write_refusal
@@ -221,12 +221,12 @@ def _brief(
     views, board = seen.detections.views, seen.board
     try:
         found = compared(views, board, how, circle) if choose else compare_models(views, board, how, [how.model])
-        return ranked(found, DEFAULT_MODEL)[0].calibration
+        return rank_models(found, DEFAULT_MODEL)[0].calibration
     finally:
         progress.finish()
 
 
-def _selected(
+def _solve_views(
     solve: Callable[[Sequence[BoardDetection]], Selection], seen: BoardViews, progress: Progress
 ) -> Selection:
     progress.start("solving", None)
@@ -248,15 +248,15 @@ def _refined(
 
     brief: the calibration; None: a whole one, as no brief one would do.
     """
-    brief = _selected(solve, seen, progress).calibration if brief is None else brief
+    brief = _solve_views(solve, seen, progress).calibration if brief is None else brief
     how_read = options.reading, options.jobs, options.batch
     look = refine_corners(brief, seen.detections.views, seen.videos, *how_read, progress, seen.files)
     better = replace(seen, detections=replace(seen.detections, views=look.views))
     try:
-        return better, _selected(solve, better, progress), RefinementSummary(look.recovered, look.lost), ()
+        return better, _solve_views(solve, better, progress), RefinementSummary(look.recovered, look.lost), ()
     except (InsufficientData, NotConverged) as error:
         text = f"corner refinement with the calibrated lens skipped, as with --no-refine: {error.message}"
-        return seen, _selected(solve, seen, progress), None, (Message("refinement_failed", text),)
+        return seen, _solve_views(solve, seen, progress), None, (Message("refinement_failed", text),)
 
 
 def _channel(calibration: Calibration, colour: str, views: Sequence[BoardDetection]) -> Channel:

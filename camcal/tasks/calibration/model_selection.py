@@ -9,8 +9,8 @@ from camcal.cameras.catalogue import DEFAULT_MODEL, model_named
 from camcal.cameras.validity import ImageCircle
 from camcal.errors import CamcalError, InsufficientData, InvalidInput, NotConverged
 from camcal.messages import Message
-from camcal.quality.assess import Assessment, assess, other_models
-from camcal.quality.lens_choice import GAIN, judge, ranked
+from camcal.quality.assess import Assessment, assess, other_models, passing_model
+from camcal.quality.lens_choice import GAIN, judge, rank_models
 from camcal.targets.board import Board
 from camcal.targets.detection import BoardDetection
 
@@ -49,7 +49,7 @@ def select(
     calibration.
     """
     candidates = compared(views, board, options, circle)
-    order = ranked(candidates, DEFAULT_MODEL)
+    order = rank_models(candidates, DEFAULT_MODEL)
     failure: CamcalError | None = None
     taken: Selection | None = None
     refused: dict[str, tuple[str, ...]] = {}
@@ -84,12 +84,12 @@ def solve_given(
     try:
         calibration = intrinsics.calibrate(views, board, options)
     except (InsufficientData, NotConverged) as error:
-        others = ranked(compared(views, board, free, circle), DEFAULT_MODEL) if _is_of_the_lens(error) else ()
+        others = rank_models(compared(views, board, free, circle), DEFAULT_MODEL) if _is_of_the_lens(error) else ()
         raise _with_remedy(error, options.model.name, others) from error
     found = Selection(calibration, assess(calibration, circle))
     if found.assessment.trustworthy:
         return found
-    others = ranked(compared(views, board, free, circle), DEFAULT_MODEL)
+    others = rank_models(compared(views, board, free, circle), DEFAULT_MODEL)
     return replace(found, assessment=assess(calibration, circle, others))
 
 
@@ -117,8 +117,8 @@ def _with_remedy(error: CamcalError, used: str, candidates: Sequence[CandidateMo
     remedy = other_models(used, candidates)
     if not remedy or not _is_of_the_lens(error):
         return error
-    passes = any(own.scores is not None and not own.failures for own in candidates)
-    text = f"the lens model {used} does not fit these views: {remedy}" if passes else f"{error.message}; {remedy}"
+    passing = passing_model(used, candidates)
+    text = f"the lens model {used} does not fit these views: {remedy}" if passing else f"{error.message}; {remedy}"
     return type(error)(text, where=error.where, failures=[replace(own, text=text) for own in error.failures])
 
 

@@ -24,7 +24,7 @@ from camcal.formats.camera_file import CameraFile
 from camcal.messages import counted
 from camcal.parsing import did_you_mean
 from camcal.progress import Progress
-from camcal.quality.lens_choice import ranked
+from camcal.quality.lens_choice import rank_models
 from camcal.run.paths import split_address
 from camcal.targets.board import Board
 from camcal.targets.detection import BoardDetection
@@ -55,7 +55,7 @@ class RigModels:
     def candidates_of(self, name: str) -> list[CandidateModel]:
         """Return the models that were compared for a camera, in their order, none where its model was given."""
         found = next((compared for names, compared in self.candidates.items() if name in names), ())
-        return ranked(found, DEFAULT_MODEL)
+        return rank_models(found, DEFAULT_MODEL)
 
 
 def given_lenses(settings: RigSettings, names: Sequence[str], progress: Progress) -> dict[str, GivenLens]:
@@ -283,10 +283,10 @@ def _kinds(names: Sequence[str], found: Mapping[str, tuple[CandidateModel, ...]]
     fisheye beside a narrow lens, is of another kind.
     """
     joint = together([found[name] for name in names])
-    model = ranked(joint, DEFAULT_MODEL)[0].name
+    model = rank_models(joint, DEFAULT_MODEL)[0].name
     # by prediction and failures alone: of one model for a kind, what is known of each lens is no reason to give it up
     alone = {name: [replace(own, map_px=None) for own in found[name]] for name in names}
-    others = [name for name in names if ranked(alone[name], model)[0].name != model]
+    others = [name for name in names if rank_models(alone[name], model)[0].name != model]
     if not others or len(names) == 1:
         return [_Kind(tuple(names), joint, model)]
     same = [name for name in names if name not in others]
