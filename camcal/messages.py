@@ -107,7 +107,7 @@ CODES: Mapping[str, Mapping[str, str]] = {
         "inconsistent_projections": "the projection matrices of a pair do not match",
         "unplaced_camera": "a camera without transform to the others",
         "inconsistent_chain": "transforms of a file contradict each other",
-        "outside_region": "a view shows parts of the image in which the camera is not known well enough",
+        "outside_region": "a view or points lie in parts of the image in which the camera is not known well enough",
         "reduced_scale": "an undistorted image is much smaller at its centre than the source",
         "replaced_view": "the camera file of an undistorted view was replaced by that of another one",
     },

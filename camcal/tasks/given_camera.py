@@ -1,21 +1,25 @@
 """The camera of a command: one of a camera file of any format, or one whose numbers the command line gives."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 
+from camcal.arrays import Array
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import FISHEYE, Camera
 from camcal.errors import InvalidInput
 from camcal.formats import cameras
-from camcal.formats.camera_file import CameraEntry, CameraFile
+from camcal.formats.camera_file import CalibrationVerdict, CameraEntry, CameraFile
 from camcal.formats.cameras.record import CAMERA, Given, MissingSize
+from camcal.messages import Message
 from camcal.progress import SILENT, Progress
+from camcal.quality.projection_uncertainty import GRID, grid_pixels, in_polygon
 from camcal.run.paths import IMAGE_SUFFIXES, VIDEO_SUFFIXES, require_there, split_address
 from camcal.tasks.options import GivenCamera
 
 Size = tuple[int, int]
+_OUTSIDE = 0.02  # of a view or of points: more beyond the region of the verdict is worth a warning
 
 
 def _unknown() -> None:
@@ -85,3 +89,37 @@ def camera_of(given: GivenCamera, size: Size) -> Camera:
         return Camera.from_opencv(matrix, distortion, size, fisheye=model is not None and model.opencv == FISHEYE)
     except InvalidInput as error:
         raise InvalidInput(f"--camera-matrix, --distortion: {error.message}") from error
+
+
+def outside_region(
+    verdict: CalibrationVerdict | None, pixels: Array, what: str, advice: str, where: str | None = None
+) -> Iterator[Message]:
+    """Yield a warning where pixels (N, 2) lie outside the part of the image that the verdict on the camera holds for.
+
+    what: the pixels are of, such as a view. advice: what to do. where: the camera, if there are several.
+    """
+    region = verdict and verdict.region
+    share = float(np.mean(~in_polygon(pixels, region.polygon))) if region and len(pixels) else 0.0
+    if region and share > _OUTSIDE:
+        text = (
+            f"projection uncertainty above {region.limit_px:.2g} px in {100 * share:.0f} % of {what}, where the "
+            f"verdict on the camera does not hold: {advice}"
+        )
+        yield Message("outside_region", text, {"share": share}, where)
+
+
+def view_outside_region(
+    verdict: CalibrationVerdict | None,
+    camera: Camera,
+    view: Camera,
+    where: str | None = None,
+    view_R_camera: Array | None = None,
+) -> Iterator[Message]:
+    """Yield a warning where a view shows more of the image of a camera than the verdict on it holds for."""
+    width, height = view.image_size
+    pixels = grid_pixels(np.linspace(0, width - 1, GRID[0]), np.linspace(0, height - 1, GRID[1]))
+    directions = view.unproject(pixels).directions
+    shown = camera.project(directions if view_R_camera is None else directions @ view_R_camera).pixels
+    shown = shown[((shown >= 0) & (shown <= np.array(camera.image_size) - 1)).all(axis=1)]
+    advice = "use a smaller --fov, or calibrate with corners there"
+    yield from outside_region(verdict, shown, "the view", advice, where)

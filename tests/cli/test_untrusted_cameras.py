@@ -89,6 +89,21 @@ def test_a_view_that_shows_more_than_the_verdict_holds_for_is_said(run, folder, 
     assert native.read(folder / "out" / "camera.yaml").cameras["left"].verdict == CalibrationVerdict(trustworthy=True)
 
 
+@pytest.mark.parametrize("command", ["pnp", "pnp --rig", "stereo rectify"])
+def test_poses_and_pairs_from_where_the_verdict_does_not_hold_are_said(run, folder, command):
+    for right, said in ((159.0, False), (60.0, True)):
+        corners = np.array([[0.0, 0.0], [right, 0.0], [right, 119.0], [0.0, 119.0]])
+        region = KnownRegion(1.0, right / 159, 1.0, corners)
+        write_rig(folder / "rig.yaml", CalibrationVerdict(trustworthy=True, region=region))
+        code, _, err = run(*COMMANDS[command].split())
+        assert code == 0, err
+        shown = "the view" if command == "stereo rectify" else "the points"
+        found = [line for line in err.splitlines() if "verdict on the camera does not hold" in line]
+        assert len(found) == said, err
+        assert all("left" in line or command == "pnp" for line in found)
+        assert all(f"% of {shown}, where" in line for line in found)
+
+
 def test_the_view_of_a_distrusted_camera_is_distrusted_too(run, folder):
     write_rig(folder / "rig.yaml", CalibrationVerdict(trustworthy=False, reasons=REASONS))
     run("undistort", "rig.yaml#left", "tags", "-o", "out")

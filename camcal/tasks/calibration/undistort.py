@@ -27,19 +27,17 @@ from camcal.images.video import frames
 from camcal.images.views import make_view
 from camcal.messages import Message
 from camcal.options import command_line
-from camcal.progress import SILENT, Outcome, Progress, reused
-from camcal.quality.projection_uncertainty import GRID, grid_pixels, in_polygon
+from camcal.progress import SILENT, Outcome, Progress, reused, warn_of
 from camcal.run.outputs import claim, writes
 from camcal.run.paths import Media, find_media, names_file, refuse_collisions, require_one, split_address
 from camcal.tasks.calibration.drawing import Drawing, Drawn, Sources, require_success, same_shape
 from camcal.tasks.calibration.undistort_options import UndistortOptions
-from camcal.tasks.given_camera import read_camera_file, require_no_image
+from camcal.tasks.given_camera import read_camera_file, require_no_image, view_outside_region
 
 CAMERA_FILE = "camera.yaml"
 MASK_FILE = "valid_mask.png"
 _OTHERWISE = {".pfm": ".tiff"}  # of the types that are read and not written; all others become PNG
 _FRAME_SUFFIX = ".jpg"
-_OUTSIDE = 0.02  # of a view: more of it beyond the region of the verdict is worth a warning
 _SHRUNK = 0.25  # of the size it had: below that, the middle of an image is worth a warning
 _PIXEL = ("u", "v")
 _DIGITS = 12
@@ -108,7 +106,7 @@ def undistort(options: UndistortOptions, progress: Progress = SILENT) -> Undisto
         source = _rescaled(source, media)
     view = make_view(source.camera, options.view, source.circle)
     _warn_of_shrinking(source.camera, view, progress)
-    _warn_of_region(source, view, progress)
+    warn_of(view_outside_region(source.verdict, source.camera, view), progress)
     maps = build_maps(source.camera, view, options.interpolation, circle=source.circle)
     lenses = source.channels if options.align_channels else {}
     maps = align_channels(maps, lenses, view) if lenses else maps
@@ -194,24 +192,6 @@ def _warn_of_shrinking(camera: Camera, view: Camera, progress: Progress) -> None
     if view.model.name == PINHOLE and share < _SHRUNK:
         text = f"scale at the image centre {100 * share:.0f} %: use --projection cylinder or a smaller --fov"
         progress.warn(Message("reduced_scale", text, {"scale": share}))
-
-
-def _warn_of_region(source: SourceCamera, view: Camera, progress: Progress) -> None:
-    """Warn where the view shows more of the image than the verdict on the camera holds for."""
-    region = source.verdict and source.verdict.region
-    if not region:
-        return
-    width, height = view.image_size
-    pixels = grid_pixels(np.linspace(0, width - 1, GRID[0]), np.linspace(0, height - 1, GRID[1]))
-    shown = source.camera.project(view.unproject(pixels).directions).pixels
-    shown = shown[((shown >= 0) & (shown <= np.array(source.camera.image_size) - 1)).all(axis=1)]
-    share = float(np.mean(~in_polygon(shown, region.polygon))) if len(shown) else 0.0
-    if share > _OUTSIDE:
-        text = (
-            f"projection uncertainty above {region.limit_px:.2g} px in {100 * share:.0f} % of the view, where the "
-            "verdict on the camera does not hold: use a smaller --fov, or calibrate with corners there"
-        )
-        progress.warn(Message("outside_region", text, {"share": share}))
 
 
 def document(report: UndistortReport) -> dict[str, Any]:

@@ -3,7 +3,7 @@
 A pose that is known beforehand is one of a pose file, or of a file with a pose as text.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -27,7 +27,7 @@ from camcal.report.overlays import Posed
 from camcal.run.journal import journal_beside
 from camcal.run.outputs import writes
 from camcal.tasks.calibration.board_views import is_table
-from camcal.tasks.given_camera import read_camera_file, require_no_image
+from camcal.tasks.given_camera import outside_region, read_camera_file, require_no_image
 from camcal.tasks.poses import pnp_records
 from camcal.tasks.poses.options import AUTO, Gates, PnpOptions, PriorOptions
 from camcal.tasks.poses.pnp_observer import Observer, Sheet, draw, joined, seen_by_rig, sheets, videos_in
@@ -87,6 +87,7 @@ def _estimated(options: PnpOptions, progress: Progress) -> PnpReport:
         raise _why_no_pose(seen, refused)
     observations = {each.pose_key: each for each in seen.observations if each.pose_key in found}
     warnings = _warnings(observer, seen, found, list(observations.values()), settings)
+    warnings += _outside_regions(options, file, observer, seen.observations)
     warn_of(warnings, progress)
     straight = _poses(options, observer, seen, found, refused)
     result = straight.inverse() if inverse else straight
@@ -248,6 +249,19 @@ def _warnings(
         views = [observation.views[0] for observation in observations]
         warnings += pnp_records.of_lens(observer.cameras[None], views, estimates, settings)
     return warnings
+
+
+def _outside_regions(
+    options: PnpOptions, file: CameraFile, observer: Observer, observations: Sequence[Observation]
+) -> Iterator[Message]:
+    """Yield a warning for every camera that saw points where the verdict on it does not hold."""
+    path, selected = options.address
+    for name, camera in observer.cameras.items():
+        entry = cameras.select(file, selected, str(path)) if name is None else file.cameras[name]
+        scale = np.array(entry.camera.image_size) / camera.image_size  # the images may be smaller
+        seen = [view.pixels for own in observations for view in own.views if name in (None, view.camera)]
+        pixels = scale * np.concatenate([np.zeros((0, 2)), *seen])
+        yield from outside_region(entry.verdict, pixels, "the points", "calibrate with corners there", name)
 
 
 def _folders(options: PnpOptions) -> list[Path]:

@@ -1,7 +1,7 @@
 """Two cameras of a rig file: which ones, how their images are rectified, and what is known of the rectified pair."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import permutations
 from pathlib import Path
@@ -34,7 +34,7 @@ from camcal.stereo.rectify.maps import PairMaps, build_pair_maps
 from camcal.stereo.rectify.options import RectifiedViewOptions
 from camcal.stereo.rectify.plan import DEFAULTS, plan_rectification
 from camcal.stereo.rectify.record import Rectification
-from camcal.tasks.given_camera import Size, read_camera_file
+from camcal.tasks.given_camera import Size, read_camera_file, view_outside_region
 from camcal.tasks.options import CAMERA_SUFFIXES, GivenCamera
 from camcal.tasks.stereo.rectified_pair import RectifiedPair
 
@@ -77,9 +77,21 @@ class GivenRig:
     def rectification(self, view: RectifiedViewOptions = DEFAULTS) -> Rectification:
         """Return how the two are rectified; raises as `plan_rectification` does, naming the file."""
         try:
-            return plan_rectification(self.cameras, self.second_T_first, view, self.circles)
+            found = plan_rectification(self.cameras, self.second_T_first, view, self.circles)
         except CamcalError as error:
             raise type(error)(error.message, where=error.where or str(self.path)) from error
+        views = (
+            (found.left, found.left_camera, found.rect_R_left),
+            (found.right, found.right_camera, found.rect_R_right),
+        )
+        outside = [
+            message
+            for name, shown, turn in views
+            for message in view_outside_region(
+                self.file.cameras[name].verdict, self.cameras[name], shown, f"{self.path}#{name}", turn
+            )
+        ]
+        return replace(found, warnings=(*found.warnings, *outside))
 
 
 @dataclass(frozen=True, eq=False)
