@@ -42,7 +42,8 @@ _MAX_FOCAL_ERROR = 0.05
 @dataclass(frozen=True, eq=False)
 class Misfit:
     """distances: (V, P) px between corners and their projections, inf without one. sides: (V,) px of a square.
-    roughness: see `roughness`, where the median is too large; smoothness: of residuals, see `smoothness`, likewise.
+    roughness: see `roughness`, where corners are wrong or the median is too large; smoothness: of residuals, see
+    `smoothness`, likewise: it tells a lens model that does not fit from corners that are wrong.
     """
 
     distances: Array
@@ -80,7 +81,7 @@ def misfit(problem: BoardProblem, state: State, residuals: Array) -> Misfit:
     areas = np.where(present, np.abs(np.linalg.det(axes)), np.nan)
     distances = np.where(np.isfinite(residuals).all(axis=0), np.hypot(*residuals), np.inf)
     found = Misfit(distances, np.sqrt(np.nanmedian(areas, axis=1)), present)
-    if found.median_px > found.median_limit_px:
+    if found.gross.any() or found.median_px > found.median_limit_px:
         smooth = smoothness(problem, state, present.astype(float))
         return replace(found, roughness=roughness(problem), smoothness=smooth)
     return found
@@ -130,14 +131,14 @@ def require_fit(
         names = names_of([images[index] for index in np.flatnonzero(wrong).tolist()])
         text = f"{how}: {int(wrong.sum())} of {len(wrong)} views rejected (other order of ids, board or camera)"
         raise _refused("inconsistent_views", f"{text}: leave out {names}", {"views": int(wrong.sum())})
-    if found.median_px <= found.median_limit_px:
-        text = "board and lens model fit most corners, but many views have wrong corners: check them with"
-        text = f"{how}: {text} camcal detect --draw, use sharper images, or set --max-rejected"
-        raise _refused("wrong_corners", text, {"share": share, "limit": most})
     order = "corner ids are consistent"
     if found.roughness <= _ROUGH and found.smoothness > SMOOTH:
         text = f"{how}: {order} and residuals vary smoothly, so the lens model ({model}) does not fit"
         raise _refused("lens_model_does_not_fit", text)
+    if found.median_px <= found.median_limit_px:
+        text = "board and lens model fit most corners, but many views have wrong corners: check them with"
+        text = f"{how}: {text} camcal detect --draw, use sharper images, or set --max-rejected"
+        raise _refused("wrong_corners", text, {"share": share, "limit": most})
     if found.roughness <= _ROUGH and found.smoothness > 0:
         text = (
             f"{how}: {order} and residuals are random, as in blurred images: use sharper images, and check the corners"

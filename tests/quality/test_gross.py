@@ -10,6 +10,7 @@ from camcal.calibrate.fit import ShapeOptions
 from camcal.calibrate.intrinsics import Options, calibrate
 from camcal.calibrate.problem import BoardProblem, State
 from camcal.calibrate.refusals import Misfit, misfit, require_fit, roughness
+from camcal.calibrate.several_cameras import SMOOTH
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.cameras.observations import Observations
@@ -236,6 +237,15 @@ def test_detections_are_in_doubt_where_most_corners_fit():
     )
 
 
+@pytest.mark.parametrize(
+    ("smooth", "words"), [(0.5 * SMOOTH, "many views have wrong corners"), (2 * SMOOTH, "residuals vary smoothly")]
+)
+def test_the_lens_model_is_in_doubt_where_most_corners_fit_and_the_others_are_off_smoothly(smooth, words):
+    fit = replace(found(wrong_in(*[10] * VIEWS)), roughness=0.01, smoothness=smooth)
+    with pytest.raises(InsufficientData, match=words):
+        require_fit(fit, IMAGES, MOST, "opencv5")
+
+
 def test_how_smooth_views_are_says_whether_corners_are_numbered_for_the_board(seen):
     def rough_on(board):
         problem, _ = seen_by([upright(0.5)] * len(seen))
@@ -247,7 +257,7 @@ def test_how_smooth_views_are_says_whether_corners_are_numbered_for_the_board(se
     assert rough_on(replace(BOARD, columns=10)) > 1
 
 
-def test_how_smooth_views_are_is_asked_where_the_median_is_too_large():
+def test_how_smooth_views_are_is_asked_where_corners_are_wrong():
     problem, state = seen_by([upright(0.5)] * 3)
     shape = problem.observations.weights.shape
     near, far = (misfit(problem, state, np.full((2, *shape), px)) for px in (0.1, 20.0))

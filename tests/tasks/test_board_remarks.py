@@ -7,9 +7,9 @@ import pytest
 
 from camcal.targets.board import parse_board
 from camcal.targets.detection import BoardDetection
-from camcal.tasks.calibration.which_board import OtherBoard, board_warnings, nothing_found
+from camcal.tasks.calibration.which_board import OtherBoard, board_warnings, nothing_found, symmetry_warnings
 
-AMBIGUOUS = "corner ids are ambiguous between views; for the calibration of one camera this is harmless"
+AMBIGUOUS = "corner ids, and poses of the board, may be turned by that from view to view"
 NOTHING = BoardDetection("a.png", (640, 480), reason="nothing seen")
 
 
@@ -42,7 +42,8 @@ def instead(other):
 )
 def test_unknown_sizes_and_symmetries_are_told_in_the_words_of_the_board(form, texts):
     board = parse_board(form)
-    assert [each.text for each in board_warnings([NOTHING], board, board)] == texts
+    found = (*board_warnings([NOTHING], board, board), *symmetry_warnings(board))
+    assert [each.text for each in found] == texts
 
 
 @pytest.mark.parametrize(

@@ -264,8 +264,10 @@ def test_exif_orientation_is_noted_and_not_applied(tmp_path):
 
 def test_unknown_squares_and_boards_that_look_the_same_turned_are_told(tmp_path):
     write(tmp_path / "a.png", Board("chessboard", 6, 4))
-    codes = [warning.code for warning in found(tmp_path, Board("chessboard", 6, 4)).warnings]
-    assert codes == ["unknown_board_size", "symmetric_board"]
+    kept = {"output": tmp_path / "corners.csv"}
+    for options, told in ((kept, ["unknown_board_size", "symmetric_board"]), ({}, ["unknown_board_size"])):
+        codes = [warning.code for warning in found(tmp_path, Board("chessboard", 6, 4), **options).warnings]
+        assert codes == told
 
 
 def test_sixteen_bits_and_colour_are_searched_too(tmp_path):

@@ -47,6 +47,7 @@ from camcal.tasks.calibration.which_board import (
     pattern_lines,
     require_colours,
     search,
+    symmetry_warnings,
 )
 
 _PICTURE = "_corners.png"
@@ -115,7 +116,8 @@ def _detected(options: DetectOptions, progress: Progress) -> DetectReport:
     if options.output is not None:
         result = with_circle(result, videos, options.reading)
         detections.write(options.output, result)
-    warnings = (*board_warnings(views, board, asked), *sized.warnings, *mixed)
+    symmetric = symmetry_warnings(board) if options.output is not None else ()  # calibrations number them themselves
+    warnings = (*board_warnings(views, board, asked), *symmetric, *sized.warnings, *mixed)
     warn_of(warnings, progress)
     return DetectReport(
         result,

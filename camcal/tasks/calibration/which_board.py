@@ -65,18 +65,23 @@ def board_warnings(views: Sequence[BoardDetection], board: Board, stated: Board)
         found.append(Message("board_size_differs", text))
     if board.square is None:
         found.append(Message("unknown_board_size", _UNKNOWN_SIZE[board.type]))
-    if (looks := len(board.symmetries())) > 1:
-        angle = 180 if looks == 2 else 90
-        text = (
-            f"a {board.columns}x{board.rows} board is symmetric under rotation by {angle}°: corner ids are ambiguous "
-            "between views; for the calibration of one camera this is harmless"
-        )
-        found.append(Message("symmetric_board", text, {"rotation_deg": angle}))
     turned = sum(view.orientation != 1 for view in views)
     if turned:
         text = f"EXIF orientation ignored in {counted(turned, 'image')}: pixels are used as stored"
         found.append(Message("orientation_ignored", text, {"images": turned}))
     return tuple(found)
+
+
+def symmetry_warnings(board: Board) -> tuple[Message, ...]:
+    """Return the warning about a symmetric board, for what depends on how its corners are numbered."""
+    if (looks := len(board.symmetries())) == 1:
+        return ()
+    angle = 180 if looks == 2 else 90
+    text = (
+        f"a {board.columns}x{board.rows} board is symmetric under rotation by {angle}°: corner ids, and poses of the "
+        "board, may be turned by that from view to view"
+    )
+    return (Message("symmetric_board", text, {"rotation_deg": angle}),)
 
 
 def pattern_lines(board: Board, stated: Board) -> tuple[str, ...]:

@@ -23,6 +23,7 @@ from camcal.targets.board import Board
 from camcal.targets.detection import BoardDetection
 from camcal.targets.surface import Surface
 from camcal.tasks.calibration.board_views import BoardViews, board_views, is_table
+from camcal.tasks.calibration.which_board import symmetry_warnings
 from camcal.tasks.poses.options import DetectionOptions
 from camcal.tasks.poses.tag_views import board_frames, tag_views
 
@@ -100,6 +101,7 @@ def seen_by(
     views = _of_one_camera(found.detections.views, name)
     camera = _fitting(camera, *_usual_size(views, camera), detection.scale)
     points, lines, other = _points(found.board, file.board_shape if detection.board_shape else None)
+    other += symmetry_warnings(found.board)
     warn_of(other, progress)
     shown = [view for view in views if view.found]
     fitting = [view for view in shown if view.size == camera.image_size]

@@ -30,7 +30,7 @@ from camcal.targets.detection import BoardDetection, Detections
 from camcal.targets.markers.markers import Markers, detect_markers
 from camcal.targets.markers.tags import TagObjects
 from camcal.tasks.calibration.board_views import BoardViews
-from camcal.tasks.calibration.which_board import board_warnings, pattern_lines
+from camcal.tasks.calibration.which_board import board_warnings, pattern_lines, symmetry_warnings
 
 _TIMEOUT_S = 600.0  # for one image; the slowest take seconds
 _LISTED = 8  # ids in a reason
@@ -214,7 +214,7 @@ def board_frames(
     batch.raise_first(errors)
     if not views:
         raise errors[0] if errors else FileError("holds no frame", where=str(videos[0]))
-    warnings = board_warnings(views, known, board)
+    warnings = (*board_warnings(views, known, board), *symmetry_warnings(known))
     warn_of(warnings, progress)
     return BoardViews(
         known,

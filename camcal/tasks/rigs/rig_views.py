@@ -172,8 +172,7 @@ def _from_media(cameras: Sequence[CameraInputs], settings: RigSettings, progress
         settings = replace(settings, match=TIME, tolerance=videos.tolerance)
     result = captured(found.board, {name: each.views for name, each in sized.items()}, settings, progress)
     warnings = (
-        # which way round a symmetric board was is settled by what all cameras saw of it
-        *(each for each in board_warnings(found.views, found.board, asked) if each.code != "symmetric_board"),
+        *board_warnings(found.views, found.board, asked),
         *(warning for each in sized.values() for warning in each.warnings),
     )
     warn_of(warnings, progress)
