@@ -278,19 +278,33 @@ SCENARIOS = {
 }
 
 
-def scene(name: str, count: int, seed: int, cameras: tuple[str, ...] = tuple(CAMERAS), claimed: float = 1.0) -> Scene:
+def scene(
+    scenario: str | Scenario,
+    count: int,
+    seed: int,
+    cameras: tuple[str, ...] = tuple(CAMERAS),
+    claimed: float = 1.0,
+    *,
+    tilt: float | None = None,
+) -> Scene:
     """Return `count` views of a scenario; nine seeds in a row have all combinations of three cameras and three boards.
 
-    claimed: a factor on the standard deviations that the corners come with.
+    claimed: a factor on the standard deviations that the corners come with. tilt: of the board against the image plane
+    at most, about either axis, rad; None: up to TILT from where it faces the camera.
     """
-    scenario = SCENARIOS[name]
+    scenario = SCENARIOS[scenario] if isinstance(scenario, str) else scenario
     setting = CAMERAS[cameras[seed % len(cameras)]]
     board = BOARDS[(seed + seed // 3) % len(BOARDS)]
     points = scenario.board(board, np.random.default_rng([seed, _BOARD]))
     views, shots, corners, covariances = [], [], [], []
     for index in range(count):
         rotation, translation = held_by_hand(
-            setting, board, index % 5 in (1, 3), np.random.default_rng([seed, _POSE, index])
+            setting,
+            board,
+            index % 5 in (1, 3),
+            np.random.default_rng([seed, _POSE, index]),
+            TILT if tilt is None else tilt,
+            parallel=tilt is not None,
         )
         effect = np.random.default_rng([seed, _EFFECT, index])
         place = index / max(count - 1, 1)

@@ -6,6 +6,8 @@ baseline, rotation: RMS over the splits of the difference of the lengths of came
     wanted). translation: the same of the whole vector. Rows of three cameras have a camera in brackets.
 without: the differences where camcal takes the cameras for simultaneous (motion=False), and the ratio of the baseline's
     with the motion to that (0.6 at most wanted where they are not simultaneous, about 1 where they are).
+cv2: the baseline's difference by cv2.stereoCalibrate, or cv2.fisheye's, from the corners of the same halves, and
+    camcal's over it (1.05 at most wanted). Of three cameras these are the pairs with the first one.
 between/within: the medians of the epipolar errors of the captures, RMS over captures, over the RMS of the errors about
     these medians, by cv2.stereoCalibrate from all captures: above 1 something differs between captures. Of rigs of
     three cameras the greatest pair's.
@@ -94,7 +96,8 @@ def main() -> None:
     print(f"OpenCV {cv2.__version__}, numpy {np.__version__}; {arguments.splits} splits, seed {arguments.seed}")
     print(
         f"{'rig':22} {'half':>4} {'failed':>6} {'baseline':>8} {'/claimed':>8} {'translation':>11} {'/claimed':>8} "
-        f"{'rotation':>8} {'/claimed':>8}  {'without':>8} {'ratio':>6} {'between/within':>14} {'moved':>6} {'s':>5}"
+        f"{'rotation':>8} {'/claimed':>8}  {'cv2':>8} {'/cv2':>5}  "
+        f"{'without':>8} {'ratio':>6} {'between/within':>14} {'moved':>6} {'s':>5}"
     )
     ratios = [row(name, arguments) for name in arguments.rigs]
     shown = np.concatenate([own for own in ratios if own is not None] or [np.zeros((0, 3))])
@@ -116,7 +119,7 @@ def row(name: str, arguments: argparse.Namespace) -> np.ndarray | None:
     found: dict[bool | None, dict[str, Differences]] = {
         motion: {camera: Differences() for camera in rig.cameras[1:]} for motion in (None, False)
     }
-    failed, seconds = 0, []
+    failed, seconds, of_cv2 = 0, [], []
     for split in range(arguments.splits):
         order = rng.permutation(len(captures))
         halves = [captures.take(np.sort(part)) for part in np.split(order, [len(captures) // 2])]
@@ -124,6 +127,7 @@ def row(name: str, arguments: argparse.Namespace) -> np.ndarray | None:
         results = solved(name, halves, None)
         seconds.append((time.process_time() - start) / 2)
         failed += results is None
+        of_cv2.append(np.subtract(*(opencv_baselines(name, half) for half in halves)))
         without = results if split < arguments.without else None
         if without is not None and any(result.motion for result in without):
             without = solved(name, halves, False)
@@ -133,7 +137,7 @@ def row(name: str, arguments: argparse.Namespace) -> np.ndarray | None:
                 own.add(*both, camera)
     whole = camcal_rig(captures, rig.target, rig.lens, max_rejected=1.0)
     moved = f"{1e3 * whole.motion.median:6.2f}" if whole.motion else f"{'-':>6}"
-    for camera in rig.cameras[1:]:
+    for camera, peer in zip(rig.cameras[1:], np.sqrt(np.nanmean(np.square(of_cv2), axis=0)), strict=True):
         own, without = found[None][camera], found[False][camera]
         both = np.sqrt(np.mean(own.observed[: arguments.without], axis=0))[0] if without.observed else np.nan
         alone = without.rms[0] if without.observed else np.nan
@@ -141,7 +145,8 @@ def row(name: str, arguments: argparse.Namespace) -> np.ndarray | None:
         (length, shift, turn), claimed = own.rms, own.ratios
         print(
             f"{label:22} {len(captures) // 2:4d} {failed:6d} {1e3 * length:8.3f} {claimed[0]:8.2f} {1e3 * shift:11.3f} "
-            f"{claimed[1]:8.2f} {np.degrees(turn):8.4f} {claimed[2]:8.2f}  {1e3 * alone:8.3f} "
+            f"{claimed[1]:8.2f} {np.degrees(turn):8.4f} {claimed[2]:8.2f}  "
+            f"{1e3 * peer:8.3f} {length / peer:5.2f}  {1e3 * alone:8.3f} "
             f"{both / alone:6.2f} {between_within(name, arguments.cache):14.2f} {moved} "
             f"{np.median(seconds):5.1f}",
             flush=True,
@@ -162,6 +167,17 @@ def solved(name: str, halves: list[Captures], motion: bool | None) -> list[RigCa
         print(f"# {name}: {reasons[0]}", file=sys.stderr)
         return None
     return results
+
+
+def opencv_baselines(name: str, half: Captures) -> np.ndarray:
+    """Return the lengths (n - 1,) of the baselines from the first camera by OpenCV, NaN where it fails."""
+    rig = RIGS[name]
+    try:
+        pairs = opencv_rigs(aligned(half, rig.target), rig.target, rig.lens)[: len(rig.cameras) - 1]
+    except (cv2.error, CamcalError) as error:
+        print(f"# {name}: cv2: {error}".splitlines()[0], file=sys.stderr)
+        return np.full(len(rig.cameras) - 1, np.nan)
+    return np.array([float(np.linalg.norm(list(pair.poses.values())[1].translation)) for pair in pairs])
 
 
 def shared(captures: Captures) -> Captures:

@@ -18,6 +18,7 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.calibrate.problem import POSE, BoardProblem, Derivatives, State
+from camcal.cameras.reprojection import by_pose
 from camcal.solve.steps import Factors, NormalEquations, Step, factorise, lowest_along
 from camcal.targets.board import Board
 from camcal.targets.surface import CLASSES, basis, normalised
@@ -81,7 +82,7 @@ def columns_at(problem: BoardProblem, state: State, derivatives: Derivatives, na
         problem.observations.ids,
         # as projected: columns with the noise of measured corners in them could explain this noise
         problem.observations.pixels + derivatives.residuals.reshape(2, *present.shape),
-        derivatives.by_pose().reshape(2, 6, *present.shape),
+        motion_columns(problem.board, state.rotations, derivatives, present),
         np.moveaxis(derivatives.by_board(state.rotations)[..., 2], 2, 0),
         present,
     )
@@ -89,11 +90,11 @@ def columns_at(problem: BoardProblem, state: State, derivatives: Derivatives, na
 
 
 def effect_columns(
-    board: Board, ids: Array, pixels: Array, by_pose: Array, by_height: Array, present: Array
+    board: Board, ids: Array, pixels: Array, motion: Array, by_height: Array, present: Array
 ) -> EffectColumns:
     """Return the columns of all EFFECTS for V views of P corners.
 
-    ids: (V, P). pixels: (2, V, P) of the projected corners. by_pose: (2, 6, V, P) derivatives by the pose. by_height:
+    ids: (V, P). pixels: (2, V, P) of the projected corners. motion: (2, 6, V, P), see `motion_columns`. by_height:
     (2, V, P) by a corner's height over the board. present: (V, P) bool.
     """
     values = np.zeros((2, sum(effect.columns for effect in EFFECTS), *ids.shape))
@@ -101,13 +102,32 @@ def effect_columns(
     values[0, :modes] = values[1, modes : 2 * modes] = _smooth(board)[:, ids]
     rows = pixels[1]
     time = (rows - np.mean(rows[present])) / max(float(np.std(rows[present])), 1.0)  # of unit variance over all corners
-    # a pose parameter's share of the shift: so much of it as moves the corners of this view by 1 px RMS
-    squared = np.sum(by_pose**2 * present, axis=(0, 3)) / np.maximum(present.sum(axis=1), 1)
+    # a board held by hand shifts, and turns about its middle, by as much: so much of it as shifts the view by 1 px RMS
+    shifted = np.sum(motion[:, :2] ** 2, axis=(0, 1, 3)) / (2 * np.maximum(present.sum(axis=1), 1))
     rolling = slice(SMOOTH.columns, SMOOTH.columns + ROLLING.columns)
-    values[:, rolling] = time * by_pose / np.sqrt(np.maximum(squared, 1e-30))[None, :, :, None]
+    values[:, rolling] = time * motion / np.sqrt(np.maximum(shifted, 1e-30))[:, None]
     values[:, rolling.stop :] = by_height[:, None] * np.moveaxis(basis(board, FLEX_TERMS)[:, 2][ids], 2, 0)
     values *= present
     return EffectColumns(values, np.repeat(np.arange(len(EFFECTS)), [effect.columns for effect in EFFECTS]))
+
+
+def motion_columns(board: Board, rotations: Array, derivatives: Derivatives, present: Array) -> Array:
+    """Return the columns (2, 6, V, P), px per unit of the board, of a motion of the board in each view: a shift, and a
+    turn about its middle that moves its edge by as much.
+
+    rotations: (V, 3, 3) camera_T_board. present: (V, P) bool, the corners that move.
+    """
+    points = board.points()
+    shape = len(rotations), -1
+    arms = derivatives.rotated.reshape(3, *shape) - (rotations @ points.mean(axis=0)).T[:, :, None]
+    columns = by_pose(derivatives.by_point.reshape(2, 3, *shape), arms)
+    columns[:, 3:] /= radius(points)
+    return np.asarray(columns * present)
+
+
+def radius(points: Array) -> float:
+    """Return the RMS distance of points (C, 3) from their centre."""
+    return float(np.sqrt(np.mean(np.sum((points - points.mean(axis=0)) ** 2, axis=1))))
 
 
 def _smooth(board: Board) -> Array:

@@ -136,22 +136,32 @@ def test_a_smooth_field_belongs_to_points_of_the_board_wherever_they_are_listed(
             np.testing.assert_array_equal(values[:, :, view, place], full[:, :, other])
 
 
-def test_rolling_is_a_pose_that_moves_with_the_row(seen):
+def test_rolling_is_a_motion_about_the_middle_of_the_board_that_grows_with_the_row(seen):
     problem, state, present = seen
     values = columns_of(problem, state, ("rolling",)).values
     rows = problem.observations.pixels[1]
     time = (rows - rows[present].mean()) / rows[present].std()
-    for parameter in range(6):
-        # differences over 1e-6 m or rad, 1e-3 px: third-order terms and rounding are 1e-7 of them
-        by_pose = slope(problem, lambda length, own=parameter: posed(problem, state, own, length), 1e-6)
-        for view, here in enumerate(present):
-            moved = by_pose[:, view, here] / np.sqrt(np.mean(np.sum(by_pose[:, view, here] ** 2, axis=0)))
-            np.testing.assert_allclose(values[:, parameter, view, here], time[view, here] * moved, rtol=1e-5, atol=1e-6)
+    points = problem.board.points()
+    middle = points.mean(axis=0)
+    edge = np.sqrt(np.mean(np.sum((points - middle) ** 2, axis=1)))
+
+    def moved(parameter, length):
+        """The state after a shift by `length`, or a turn about the middle that moves the edge as far."""
+        step = np.zeros((len(state.rotations), 6))
+        step[:, parameter] = length if parameter < 3 else length / edge
+        turned = posed(problem, state, step)
+        back = (state.rotations - turned.rotations) @ middle
+        return turned if parameter < 3 else replace(turned, translations=state.translations + back)
+
+    # differences over 1e-6 m, 1e-3 px: third-order terms and rounding are 1e-7 of them
+    motion = np.stack([slope(problem, lambda length, own=own: moved(own, length), 1e-6) for own in range(6)], axis=1)
+    for view, here in enumerate(present):
+        own = motion[:, :, view, here]
+        shift = np.sqrt(np.mean(np.sum(own[:, :2] ** 2, axis=(0, 1)) / 2))
+        np.testing.assert_allclose(values[:, :, view, here], time[view, here] * own / shift, rtol=1e-4, atol=1e-6)
 
 
-def posed(problem, state, parameter, length):
-    step = np.zeros((len(state.rotations), 6))
-    step[:, parameter] = length
+def posed(problem, state, step):
     return problem.retract(state, Step(np.zeros(problem.shared), step))
 
 
@@ -177,10 +187,10 @@ def test_time_is_counted_over_corners_that_are_there():
     board = Board("chessboard", 5, 4, 0.04)
     rng = np.random.default_rng(3)
     ids, present = np.tile(np.arange(20), (2, 1)), rng.random((2, 20)) < 0.7
-    pixels, by_pose = 300 * rng.random((2, 2, 20)), rng.normal(size=(2, 6, 2, 20))
-    values = effect_columns(board, ids, pixels, by_pose, by_pose[:, 0], present).values
-    pixels[:, ~present], by_pose[:, :, ~present] = 1e6, 1e3
-    np.testing.assert_array_equal(effect_columns(board, ids, pixels, by_pose, by_pose[:, 0], present).values, values)
+    pixels, motion = 300 * rng.random((2, 2, 20)), rng.normal(size=(2, 6, 2, 20)) * present
+    values = effect_columns(board, ids, pixels, motion, motion[:, 0], present).values
+    pixels[:, ~present] = 1e6
+    np.testing.assert_array_equal(effect_columns(board, ids, pixels, motion, motion[:, 0], present).values, values)
 
 
 def test_a_view_without_corners_has_columns_of_zeros():

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from observed import PARAMETERS
 
-from camcal.calibrate.effects import EffectColumns
+from camcal.calibrate.effects import EffectColumns, motion_columns
 from camcal.calibrate.problem import POSE, BoardProblem
 from camcal.calibrate.rigs.effects import (
     KINDS,
@@ -15,7 +15,6 @@ from camcal.calibrate.rigs.effects import (
     SHIFT,
     TURN,
     CaptureEffects,
-    motion_columns,
     moved_poses,
     moved_views,
     with_motion,
@@ -237,9 +236,8 @@ def test_motion_columns_are_the_derivatives_by_shift_and_turn_about_the_centre()
         [True] * 2,
     ]
     own, part = problem.of_camera(state, 1), problem.parts[1]
-    columns = motion_columns(
-        BOARD, own.rotations, part.derivatives(own), np.array([True, False, True]), part.observations.present
-    )
+    showing = part.observations.present & np.array([[True], [False], [True]])
+    columns = motion_columns(BOARD, own.rotations, part.derivatives(own), showing)
     assert not columns[:, :, 1].any()
     for index in range(POSE):
         coefficients = np.zeros((3, POSE))

@@ -12,10 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.calibrate.effects import EFFECTS, FLEX, SHARE_DOF, Effect, EffectColumns, EffectScales
-from camcal.calibrate.problem import POSE, Derivatives, State
+from camcal.calibrate.effects import EFFECTS, FLEX, SHARE_DOF, Effect, EffectColumns, EffectScales, radius
+from camcal.calibrate.problem import POSE, State
 from camcal.calibrate.rigs.problem import RigProblem
-from camcal.cameras.reprojection import by_pose
 from camcal.geometry import rotation as so3
 from camcal.targets.board import Board
 
@@ -90,25 +89,11 @@ def moved_views(problem: RigProblem) -> tuple[Array, ...]:
     return tuple(result)
 
 
-def motion_columns(board: Board, rotations: Array, derivatives: Derivatives, moved: Array, present: Array) -> Array:
-    """Return the columns (2, 6, V, P), px per unit of the board, of the motion of views (V,) that may have any.
-
-    rotations: (V, 3, 3) camera_T_board. present: (V, P) bool.
-    """
-    points = board.points()
-    centre = points.mean(axis=0)
-    shape = len(rotations), -1
-    arms = derivatives.rotated.reshape(3, *shape) - (rotations @ centre).T[:, :, None]
-    columns = by_pose(derivatives.by_point.reshape(2, 3, *shape), arms)
-    columns[:, 3:] /= _radius(points)
-    return np.asarray(columns * (present & moved[:, None]))
-
-
 def moved_poses(board: Board, state: State, coefficients: Array) -> State:
     """Return the state of a camera whose views moved by coefficients (V, 6) of motion, see `motion_columns`."""
     points = board.points()
     centre = state.rotations @ points.mean(axis=0)
-    turns = so3.exp(coefficients[:, 3:] / _radius(points))
+    turns = so3.exp(coefficients[:, 3:] / radius(points))
     shifts = coefficients[:, :3] + centre - (turns @ centre[..., None])[..., 0]
     return replace(state, rotations=turns @ state.rotations, translations=state.translations + shifts)
 
@@ -119,8 +104,3 @@ def with_motion(columns: EffectColumns, motion: Array | None) -> EffectColumns:
         return columns
     effect = np.concatenate([columns.effect, np.repeat([_SHIFT, _TURN], POSE // 2)])
     return EffectColumns(np.concatenate([columns.values, motion], axis=1), effect)
-
-
-def _radius(points: Array) -> float:
-    """Return the RMS distance of points (C, 3) from their centre."""
-    return float(np.sqrt(np.mean(np.sum((points - points.mean(axis=0)) ** 2, axis=1))))

@@ -12,10 +12,10 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.calibrate.alternation import CALM, AdditionalParameters, Alternation
 from camcal.calibrate.camera_part import CameraPart, KnownNoise, Place
-from camcal.calibrate.effects import EffectScales, Posterior, fit_effects, scaled
+from camcal.calibrate.effects import EffectScales, Posterior, fit_effects, motion_columns, scaled
 from camcal.calibrate.noise import count_of
 from camcal.calibrate.problem import POSE
-from camcal.calibrate.rigs.effects import SHIFT, TURN, CaptureEffects, motion_columns, moved_views, with_motion
+from camcal.calibrate.rigs.effects import SHIFT, TURN, CaptureEffects, moved_views, with_motion
 from camcal.calibrate.rigs.posterior import PartPosterior, part_posteriors
 from camcal.calibrate.rigs.problem import RigProblem, RigState
 from camcal.calibrate.shape import (
@@ -119,9 +119,8 @@ class _RigPasses(Alternation):
         moved = moved_views(self.problem)
         for part, views in zip(self.parts, moved, strict=True):
             if motion and views.any():
-                columns = motion_columns(
-                    self.problem.board, part.place.state.rotations, part.place.derivatives, views, part.present
-                )
+                own, showing = part.place, part.present & views[:, None]
+                columns = motion_columns(self.problem.board, own.state.rotations, own.derivatives, showing)
                 part.columns = with_motion(part.columns, columns)
         self.effects = CaptureEffects.of([part.columns for part in self.parts])
         sigmas = [part.noise.sigma for part in self.parts]

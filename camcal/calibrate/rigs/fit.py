@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.calibrate.effects import EFFECTS, SMOOTH, EffectColumns, columns_at, likelihood_gain
+from camcal.calibrate.effects import EFFECTS, SMOOTH, EffectColumns, columns_at, likelihood_gain, motion_columns
 from camcal.calibrate.fit import displacements
 from camcal.calibrate.influence import influence
 from camcal.calibrate.intrinsics import Solved
@@ -16,7 +16,6 @@ from camcal.calibrate.problem import POSE, State
 from camcal.calibrate.rigs.effects import (
     MOTION_DOF,
     CaptureEffects,
-    motion_columns,
     moved_poses,
     moved_views,
     with_motion,
@@ -223,7 +222,7 @@ def motion_gain(plain: RigEstimate) -> float:
     for camera, (part, views) in enumerate(zip(plain.parts, moved, strict=True)):
         own, derivatives = problem.of_camera(plain.state, camera), part.place.derivatives
         smooth.append(columns_at(part.problem, own, derivatives, (SMOOTH.name,)))
-        motion = motion_columns(problem.board, own.rotations, derivatives, views, part.present)
+        motion = motion_columns(problem.board, own.rotations, derivatives, part.present & views[:, None])
         both.append(with_motion(smooth[-1], motion if views.any() else None))
     return _gain(plain, problem, both) - _gain(plain, problem, smooth)
 
