@@ -43,6 +43,7 @@ _EXPLAINED = {
 }
 _EXACT_PX = 1e-6  # what a projection is known to at best, where all parameters are held
 _MOSTLY = 0.5  # of a view's corners
+_TILTED_DEG = 20.0  # of the board in some view: beyond it, more tilt is not what is missing
 _BOARD_LENGTHS = (1e-3, CRITERIA["board_scale"].limit)  # m, between targets of microscopes and sides of buildings
 _CELLS = (10, 8)
 _RINGS = 8
@@ -181,11 +182,12 @@ def _region(calibration: Calibration, region: KnownRegion, others: str) -> Itera
         return
     camera = calibration.camera
     share = max((camera.std(name) or 0.0) / camera.value(name) for name in ("fx", "fy"))
-    remedy = others or "add views tilted by 20° to 45° about both axes"
+    tilt, more = largest_tilt_deg(calibration), "add views with the board all over the image"
+    remedy = others or (more if tilt > _TILTED_DEG else "add views tilted by 20° to 45° about both axes")
     text = (
         f"projection uncertainty below {region.limit_px:.2g} px in {100 * region.of_observed:.0f} % of the area with "
         f"corners (at least {100 * _limit('known_region'):.0f} % needed; focal length ± {100 * share:.2g} %, board "
-        f"tilted by up to {largest_tilt_deg(calibration):.0f}°, {counted(len(calibration.used), 'view')}): {remedy}"
+        f"tilted by up to {tilt:.0f}°, {counted(len(calibration.used), 'view')}): {remedy}"
     )
     yield message("known_region", text, region.of_observed)
 

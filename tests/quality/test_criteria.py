@@ -583,6 +583,11 @@ def test_a_failure_that_explains_others_silences_them(good):
     assert set(by_code(folding(reaching(known_within(good, 0.3), 800), 700))) == {"not_invertible"}
 
 
+@pytest.mark.parametrize(("tilt", "remedy"), [(15, "add views tilted by"), (30, "the board all over the image")])
+def test_tilts_are_asked_for_where_there_are_none(good, tilt, remedy):
+    assert remedy in by_code(known_within(tilted(good, tilt), 0.3))["known_region"].text
+
+
 def test_messages_about_views_have_their_images(good):
     def of(calibration):
         return {code: len(found.values.get("images", ())) for code, found in by_code(calibration).items()}
