@@ -23,7 +23,7 @@ from camcal.calibrate.initialise import (
 from camcal.calibrate.jackknife import averaged, covariance_of, image_metric, weights_of
 from camcal.calibrate.noise import CUT, REJECTED, robust_sigma
 from camcal.calibrate.problem import BoardProblem, State
-from camcal.calibrate.shape import odd_terms
+from camcal.calibrate.shape import hold_to_print, odd_terms
 from camcal.cameras.catalogue import WIDE_MODEL
 from camcal.cameras.directions import direction_displacements, in_hull
 from camcal.cameras.model import Camera, CameraModel
@@ -176,8 +176,10 @@ def averaged_fit(
     state = plain.state
     if len(estimates) > 1:
         state = averaged([own.state for own in estimates], weights)
-        state = replace(state, **_posed_again(plain.problem, state))
     covariance = covariance_of(estimates, left_out, metric, weights, errors.share)
+    step, covariance = hold_to_print(plain.problem.terms, state.shape, covariance)
+    state = plain.problem.shifted(state, step)
+    state = replace(state, **_posed_again(plain.problem, state))
     return CalibrationFit(
         state,
         estimates,

@@ -12,7 +12,7 @@ lens, poses and the board's smooth shape; of a large board each point has a smal
 for the points and for everything else soon leads to the same minimum.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,7 +20,17 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.calibrate.problem import BoardProblem, Derivatives, State
 from camcal.solve.steps import Block, Factors
-from camcal.targets.surface import CLASSES, CORNER_CLASSES, IN_PLANE, OUT_OF_PLANE, TERMS, Surface, basis, scale_unit
+from camcal.targets.surface import (
+    CLASSES,
+    CORNER_CLASSES,
+    IN_PLANE,
+    OUT_OF_PLANE,
+    RATIOS,
+    TERMS,
+    Surface,
+    basis,
+    scale_unit,
+)
 
 _POINTS, _REACH = 65, 4.0  # of the grid of scales, and how many standard deviations of their logarithm it holds
 _WITHIN = np.linspace(-_REACH, _REACH, _POINTS)
@@ -184,6 +194,24 @@ def board_scales(problem: BoardProblem, state: State, factors: Factors, start: i
             prior = CORNER_CLASSES[name]
             result[name] = scale_of(side**2 * information, side * vector, prior.median, prior.spread)
     return result
+
+
+def hold_to_print(names: Sequence[str], values: Array, covariance: Array) -> tuple[Array, Array]:
+    """Return the step (D,) of shared parameters to where what printers do holds x/y scale and shear of the board, and
+    the covariance (D, D) there.
+
+    names, values: of the terms of the board's shape, the last ones of the parameters. covariance: (D, D) by the scatter
+    from view to view. Where views are nearly parallel these terms trade with the lens, and errors within views pass for
+    them. The scales of their classes follow such errors; here they are what printers do, against what views know.
+    """
+    step, start = np.zeros(len(covariance)), len(covariance) - len(names)
+    for term in (term for term in RATIOS if term in names):
+        place = start + names.index(term)
+        std = next(own.median for own in CLASSES.values() if term in own.terms)
+        gain = covariance[place] / (covariance[place, place] + std**2)
+        step = step - gain * (values[place - start] + step[place])
+        covariance = covariance - np.outer(gain, covariance[place])
+    return step, covariance
 
 
 def odd_terms(problem: BoardProblem, state: State, factors: Factors) -> tuple[Array, Array]:

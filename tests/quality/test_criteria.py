@@ -264,7 +264,7 @@ EXAMPLES = (
             lambda good, share, count=count, factor=factor: known_within(with_views(good, count), share, factor),
             0.52,
             0.48,
-            rf"below {1 / factor:.2g} px in 48 % of the area with corners .*, {count} views\): add views with the board",
+            rf"below {1 / factor:.2g} px in 48 % of the area with corners .*, {count} views\): add views with",
             value=0.4793,
         )
         for count, factor in ((3, STUDENT_OF_3), (5, STUDENT_OF_5), (9, STUDENT_OF_9), (10, 1.0))

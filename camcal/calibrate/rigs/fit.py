@@ -25,6 +25,7 @@ from camcal.calibrate.rigs.estimator import RigEstimate, estimate_rig
 from camcal.calibrate.rigs.links import CameraPoses, Placed, motions
 from camcal.calibrate.rigs.orientation import best_turns_of_captures, composed, turned
 from camcal.calibrate.rigs.problem import LensPrior, RigProblem, RigState
+from camcal.calibrate.shape import hold_to_print
 from camcal.cameras.reprojection import by_pose
 from camcal.geometry import rotation as so3
 from camcal.solve.descent import Stopping
@@ -260,6 +261,8 @@ def _averaged(
     state = plain.state
     if len(estimates) > 1:
         state = _mean([own.state for own in estimates], weights)
+    step, covariance = hold_to_print(plain.problem.parts[0].terms, state.shape, covariance)
+    state = plain.problem.shifted(state, step)
     if not plain.motion:
         held, bare = plain.problem.captures_only(state)
         found = minimise(_within_domain(held, bare), bare, _POSING).state
