@@ -137,11 +137,6 @@ class Observations:
             time=self.time[views],
         )
 
-    @property
-    def counting(self) -> int:
-        """The number of points that count."""
-        return int(np.count_nonzero(self.weights))
-
 
 def _numbered(names: Sequence[str]) -> tuple[tuple[str, ...], Array]:
     """Return the different names, in the order in which they come first, and the place of each name among them."""

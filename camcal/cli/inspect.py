@@ -98,6 +98,7 @@ def _one_value(value: Any) -> str:
 
 
 def _show(inspection: "Inspection", options: InspectOptions, verbose: bool) -> None:
+    from camcal.report.uncertain import region_words
     from camcal.tasks.calibration.inspect import camera_lines, file_lines, image_rows, parameter_rows
 
     for name, field in inspection.fields.items():
@@ -108,7 +109,7 @@ def _show(inspection: "Inspection", options: InspectOptions, verbose: bool) -> N
         for line in camera_lines(entry, field):
             show.text(line)
         if entry.verdict is not None and (entry.verdict.trustworthy or entry.verdict.reasons):
-            show.trust(entry.verdict.reasons)
+            show.trust(entry.verdict.reasons, region_words(entry.verdict.region))
     if inspection.rig is not None:
         _show_rig(inspection.rig)
     for line in file_lines(inspection.file, verbose=verbose):

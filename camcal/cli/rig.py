@@ -67,9 +67,12 @@ def _show(report: "RigReport", settings: RigSettings, verbose: bool) -> None:
     from camcal.report.calibration import CANDIDATE_COLUMNS, candidate_rows, parameter_rows
     from camcal.report.rig import CAMERA_COLUMNS, TRANSFORM_COLUMNS, camera_rows, lines, transform_rows
     from camcal.report.text_figures import calibration_figures, coverage_words, residual_words
+    from camcal.report.uncertain import region_words
 
     calibration = report.calibration
-    show.trust(report.failures)
+    regions = {name: result.assessment.region for name, result in report.cameras.items()}
+    smallest = min(regions, key=lambda name: regions[name].share)
+    show.trust(report.failures, region_words(regions[smallest], smallest))
     for line in report.lines:
         show.text(line)
     show.table("cameras", CAMERA_COLUMNS, camera_rows(calibration), verbose=verbose)

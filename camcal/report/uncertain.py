@@ -76,11 +76,15 @@ def projection_words(figures: Mapping[str, float], range_m: float | None = None)
     return f"Projection uncertainty (1 sigma, {distance}): {'; '.join(parts)}"
 
 
-def region_words(region: "KnownRegion | None") -> str:
-    """Return what limits a verdict to a part of the image, "" where it holds for all of it or that is not known."""
+def region_words(region: "KnownRegion | None", camera: str = "") -> str:
+    """Return what limits a verdict to a part of the image, "" where it holds for all of it or that is not known.
+
+    camera: whose image it is, where there are several.
+    """
     if region is None or region.share > _WHOLE:
         return ""
-    return f" in {100 * region.share:.0f} % of the image (projection uncertainty up to {region.limit_px:.2g} px)"
+    image = f"the image of {camera}" if camera else "the image"
+    return f" in {100 * region.share:.0f} % of {image} (projection uncertainty up to {region.limit_px:.2g} px)"
 
 
 def _two_digits(value: float) -> str:

@@ -13,6 +13,7 @@ from camcal.formats.camera_file import CalibrationVerdict, CameraEntry, CameraFi
 from camcal.geometry.pose import Pose
 from camcal.images.save import save
 from camcal.quality.projection_uncertainty import KnownRegion
+from camcal.report.uncertain import region_words
 
 SIZE = (160, 120)
 LENS = Camera(model_named("pinhole"), SIZE, np.array([150.0, 150.0, 79.5, 59.5]))
@@ -102,6 +103,18 @@ def test_poses_and_pairs_from_where_the_verdict_does_not_hold_are_said(run, fold
         assert len(found) == said, err
         assert all("left" in line or command == "pnp" for line in found)
         assert all(f"% of {shown}, where" in line for line in found)
+
+
+@pytest.mark.parametrize(("share", "said"), [(1.0, ""), (0.996, ""), (0.42, " in 42 % of the image")])
+def test_where_a_verdict_holds_is_part_of_it(run, folder, share, said):
+    region = KnownRegion(1.0, share, 1.0, np.array([[0.0, 0.0], [90.0, 0.0], [0.0, 90.0]]))
+    write_rig(folder / "rig.yaml", CalibrationVerdict(trustworthy=True, region=region))
+    out = run("inspect", "rig.yaml")[1]
+    assert f"Calibration is trustworthy{said}" in out
+    assert ("of the image (projection uncertainty up to 1 px)" in out) == bool(said)
+    assert region_words(region, "left") == (
+        " in 42 % of the image of left (projection uncertainty up to 1 px)" * bool(said)
+    )
 
 
 def test_the_view_of_a_distrusted_camera_is_distrusted_too(run, folder):
