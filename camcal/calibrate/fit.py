@@ -172,11 +172,12 @@ def averaged_fit(
             errors=errors,
         )
     metric = image_metric(moved)
-    weights = weights_of(left_out, metric, errors.share)
+    evidence = Evidence(errors.share, errors.named)
+    weights = weights_of(left_out, metric, evidence)
     state = plain.state
     if len(estimates) > 1:
         state = averaged([own.state for own in estimates], weights)
-    covariance = covariance_of(estimates, left_out, metric, weights, errors.share)
+    covariance = covariance_of(estimates, left_out, metric, weights, evidence)
     step, covariance = hold_to_print(plain.problem.terms, state.shape, covariance)
     state = plain.problem.shifted(state, step)
     state = replace(state, **_posed_again(plain.problem, state))
