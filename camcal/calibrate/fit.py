@@ -178,9 +178,10 @@ def averaged_fit(
     if len(estimates) > 1:
         state = averaged([own.state for own in estimates], weights)
     covariance = covariance_of(estimates, left_out, metric, weights, evidence)
-    step, covariance = hold_to_print(plain.problem.terms, state.shape, covariance)
-    state = plain.problem.shifted(state, step)
-    state = replace(state, **_posed_again(plain.problem, state))
+    terms = dict(zip(plain.problem.terms, state.shape.tolist(), strict=True))
+    state, covariance = hold_to_print(plain.problem, state, terms, covariance)
+    if state is not plain.state:
+        state = replace(state, **_posed_again(plain.problem, state))
     return CalibrationFit(
         state,
         estimates,

@@ -143,11 +143,6 @@ class BoardProblem:
         )
         return problem, replace(state, shape=np.zeros(0), offsets=0 * state.offsets)
 
-    def shifted(self, state: State, shared: Array) -> State:
-        """Return the state whose shared parameters (D,) before the offsets are moved by a step."""
-        step = np.concatenate([shared, np.zeros(self.shared - len(shared))])
-        return self.retract(state, Step(step, np.zeros(self.groups)))
-
     def retract(self, state: State, step: Step) -> State:
         """Return the state moved by a step."""
         lens, shape = len(self.free), len(self.free) + len(self.terms)

@@ -12,14 +12,15 @@ lens, poses and the board's smooth shape; of a large board each point has a smal
 for the points and for everything else soon leads to the same minimum.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from camcal.arrays import Array
 from camcal.calibrate.problem import BoardProblem, Derivatives, State
-from camcal.solve.steps import Block, Factors
+from camcal.solve import least_squares
+from camcal.solve.steps import Block, Factors, Step
 from camcal.targets.surface import (
     CLASSES,
     CORNER_CLASSES,
@@ -196,22 +197,30 @@ def board_scales(problem: BoardProblem, state: State, factors: Factors, start: i
     return result
 
 
-def hold_to_print(names: Sequence[str], values: Array, covariance: Array) -> tuple[Array, Array]:
-    """Return the step (D,) of shared parameters to where what printers do holds x/y scale and shear of the board, and
-    the covariance (D, D) there.
+def hold_to_print(
+    problem: least_squares.Problem[least_squares.State],
+    state: least_squares.State,
+    terms: Mapping[str, float],
+    covariance: Array,
+) -> tuple[least_squares.State, Array]:
+    """Return a state where what printers do holds x/y scale and shear of the board, and the covariance (D, D) there.
 
-    names, values: of the terms of the board's shape, the last ones of the parameters. covariance: (D, D) by the scatter
-    from view to view. Where views are nearly parallel these terms trade with the lens, and errors within views pass for
-    them. The scales of their classes follow such errors; here they are what printers do, against what views know.
+    terms: values of the terms of the board's shape, the last of the D parameters that all views share. covariance: by
+    the scatter from view to view. Where views are nearly parallel these terms trade with the lens, and errors within
+    views pass for them. The scales of their classes follow such errors; here they are what printers do, against what
+    views know.
     """
-    step, start = np.zeros(len(covariance)), len(covariance) - len(names)
-    for term in (term for term in RATIOS if term in names):
-        place = start + names.index(term)
+    step, names = np.zeros(len(covariance)), list(terms)
+    for term in (term for term in RATIOS if term in terms):
+        place = names.index(term) - len(names)
         std = next(own.median for own in CLASSES.values() if term in own.terms)
         gain = covariance[place] / (covariance[place, place] + std**2)
-        step = step - gain * (values[place - start] + step[place])
+        step = step - gain * (terms[term] + step[place])
         covariance = covariance - np.outer(gain, covariance[place])
-    return step, covariance
+    if not step.any():
+        return state, covariance
+    step = np.concatenate([step, np.zeros(problem.shared - len(step))])
+    return problem.retract(state, Step(step, np.zeros(problem.groups))), covariance
 
 
 def odd_terms(problem: BoardProblem, state: State, factors: Factors) -> tuple[Array, Array]:

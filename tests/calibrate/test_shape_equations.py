@@ -12,6 +12,7 @@ from camcal.calibrate.shape import (
     Scale,
     board_scales,
     first_scales,
+    hold_to_print,
     odd_terms,
     offset_std,
     scale_of,
@@ -235,3 +236,56 @@ def test_the_deflection_is_known_as_its_slope_and_the_two_points_say():
     np.testing.assert_allclose(found.coefficients_std(), np.sqrt(np.diag(own)), rtol=1e-12)
     points = surface(shape, offsets, root @ root.T, free=True)
     assert points.deflection_std == pytest.approx(np.sqrt(slope @ own @ slope + 2 * 3e-4**2), rel=1e-6)
+
+
+PRINTED = np.array([CLASSES["stretch"].median, CLASSES["shear"].median])
+
+
+def held(bent, stretch, stretch_std, shear=0.0, shear_std=1e-4, between=0.3):
+    """What printers make of these terms, of which the x/y scale trades with fx: the steps of the lens and of the two
+    terms, values and covariance before, and the covariance after.
+    """
+    problem, state = bent
+    std = np.concatenate([[2.0, 2.0, 2.0], np.full(len(TERMS), 1e-4)])
+    places = [LENS + TERMS.index(term) for term in RATIOS]
+    std[places] = stretch_std, shear_std
+    correlations = np.eye(len(std))
+    correlations[0, places[0]] = correlations[places[0], 0] = -0.9
+    correlations[places[0], places[1]] = correlations[places[1], places[0]] = between
+    before = correlations * std[:, None] * std
+    values = dict(zip(TERMS, state.shape, strict=True)) | dict(zip(RATIOS, (stretch, shear), strict=True))
+    state = replace(state, shape=np.array(list(values.values())))
+    end, after = hold_to_print(problem, state, values, before)
+    step = np.concatenate([end.parameters[:LENS] - state.parameters[:LENS], end.shape - state.shape])
+    np.testing.assert_array_equal(end.offsets, state.offsets)
+    return step, places, before, after
+
+
+def test_printers_hold_what_views_hardly_know_as_a_measurement_of_nothing_would(bent):
+    values = np.array([4e-3, 1e-3])
+    step, places, before, after = held(bent, values[0], 2e-3, values[1], 5e-4)
+    measured = np.eye(len(before))[places]
+    gain = before @ measured.T @ np.linalg.inv(measured @ before @ measured.T + np.diag(PRINTED**2))
+    np.testing.assert_allclose(step, -gain @ values, rtol=1e-6, atol=1e-12)
+    np.testing.assert_allclose(after, before - gain @ measured @ before, rtol=1e-9, atol=1e-15)
+
+
+def test_what_views_know_well_stays_whatever_printers_do(bent):
+    step, places, _, after = held(bent, 5e-3, 2e-5)
+    assert abs(step[places[0]]) < 1e-3 * 5e-3
+    assert np.sqrt(after[0, 0]) == pytest.approx(2.0, rel=1e-3)
+
+
+@pytest.mark.parametrize(("factor", "kept"), [(0.5, 0.8), (1.0, 0.5), (2.0, 0.2)])
+def test_the_lens_follows_the_print_where_views_know_as_little(bent, factor, kept):
+    stretch = PRINTED[0]
+    step, places, _, _ = held(bent, stretch, factor * stretch, between=0.0)
+    assert step[places[0]] == pytest.approx((kept - 1) * stretch)
+    assert step[0] == pytest.approx(0.9 * 2.0 / factor * (1 - kept))
+
+
+def test_a_board_as_drawn_has_no_print_to_hold_to(bent):
+    problem, state = bent
+    end, after = hold_to_print(problem, state, {}, np.eye(4))
+    assert end is state
+    np.testing.assert_array_equal(after, np.eye(4))

@@ -5,8 +5,7 @@ import pytest
 from scipy.optimize import brentq
 from scipy.stats import multivariate_normal
 
-from camcal.calibrate.shape import hold_to_print, scale_of
-from camcal.targets.surface import CLASSES
+from camcal.calibrate.shape import scale_of
 
 MEDIAN, SPREAD = 2e-3, 1.2
 
@@ -163,49 +162,3 @@ def test_data_of_exactly_nothing_give_the_scale_of_data_that_are_nearly_nothing(
     found = scale_of(information, vector, MEDIAN, SPREAD)
     nearly = scale_of(information, np.full(3, 1e-6 / MEDIAN), MEDIAN, SPREAD)
     assert found.effective == pytest.approx(nearly.effective, rel=0.01)
-
-
-def shared(stretch, stretch_std, shear=0.0, shear_std=1e-4, correlation=-0.9):
-    """Values of three terms, two of them in plane, and the covariance of these behind fx and fy; the first of which
-    trades with the x/y scale.
-    """
-    std = np.array([2.0, 2.0, 1e-3, stretch_std, shear_std])
-    correlations = np.eye(5)
-    correlations[0, 3] = correlations[3, 0] = correlation
-    correlations[3, 4] = correlations[4, 3] = 0.3
-    return np.array([5e-4, stretch, shear]), correlations * std[:, None] * std
-
-
-NAMES = ("P2(x)", "x/y scale", "shear")
-PRINTED = np.array([CLASSES["stretch"].median, CLASSES["shear"].median])
-
-
-def test_printers_hold_what_views_hardly_know_as_a_measurement_of_nothing_would():
-    values, covariance = shared(4e-3, 2e-3, 1e-3, 5e-4)
-    step, after = hold_to_print(NAMES, values, covariance)
-    measured, noise = np.eye(5)[3:], np.diag(PRINTED**2)
-    gain = covariance @ measured.T @ np.linalg.inv(measured @ covariance @ measured.T + noise)
-    np.testing.assert_allclose(step, -gain @ values[1:], rtol=1e-9, atol=1e-12)
-    np.testing.assert_allclose(after, covariance - gain @ measured @ covariance, rtol=1e-9, atol=1e-15)
-
-
-def test_what_views_know_well_stays_whatever_printers_do():
-    values, covariance = shared(5e-3, 2e-5)
-    step, after = hold_to_print(NAMES, values, covariance)
-    assert abs(step[3]) < 1e-3 * values[1]
-    assert np.sqrt(after[0, 0]) == pytest.approx(2.0, rel=1e-3)
-
-
-@pytest.mark.parametrize(("factor", "kept"), [(0.5, 0.8), (1.0, 0.5), (2.0, 0.2)])
-def test_the_lens_follows_the_print_where_both_are_as_uncertain(factor, kept):
-    values, covariance = shared(PRINTED[0], factor * PRINTED[0])
-    covariance[4, 3] = covariance[3, 4] = 0.0
-    step, _ = hold_to_print(NAMES, values, covariance)
-    assert values[1] + step[3] == pytest.approx(kept * values[1])
-    assert step[0] == pytest.approx(0.9 * 2.0 / (factor * PRINTED[0]) * (1 - kept) * PRINTED[0])
-
-
-def test_a_flat_board_has_no_print_to_hold_to():
-    step, after = hold_to_print((), np.zeros(0), np.eye(4))
-    assert not step.any()
-    np.testing.assert_array_equal(after, np.eye(4))

@@ -125,13 +125,13 @@ def fit_rig(
     if moves:
         # from the noise of single cameras: to a rig without motion, views whose board moved look noisy
         plain = estimate_rig(problem, plain.state, additional, known, plain.board, motion=True)
-    share, named = (max(getattr(start.solved.fit.errors, name) for start in starts) for name in ("share", "named"))
+    share = max(start.solved.fit.errors.share for start in starts)
     estimates = [plain]
     for effects in _EFFECTS if share > 0 and plain.converged else ():
         following = _with_effects(estimates[-1], effects)
         estimates += [following] if following is not None and following.converged else []
-    evidence = Evidence(share, named if len(estimates) > len(_EFFECTS) else 0.0)
-    return _averaged(tuple(estimates), evidence, turns, [start.solved.size for start in starts])
+    named = max(start.solved.fit.errors.named for start in starts) if len(estimates) > len(_EFFECTS) else 0.0
+    return _averaged(tuple(estimates), Evidence(share, named), turns, [start.solved.size for start in starts])
 
 
 def _with_effects(start: RigEstimate, effects: tuple[str, ...]) -> RigEstimate | None:
@@ -263,8 +263,8 @@ def _averaged(
     state = plain.state
     if len(estimates) > 1:
         state = _mean([own.state for own in estimates], weights)
-    step, covariance = hold_to_print(plain.problem.parts[0].terms, state.shape, covariance)
-    state = plain.problem.shifted(state, step)
+    terms = dict(zip(plain.problem.parts[0].terms, state.shape.tolist(), strict=True))
+    state, covariance = hold_to_print(plain.problem, state, terms, covariance)
     if not plain.motion:
         held, bare = plain.problem.captures_only(state)
         found = minimise(_within_domain(held, bare), bare, _POSING).state

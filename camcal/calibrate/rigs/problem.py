@@ -131,11 +131,6 @@ class RigProblem:
     def with_parts(self, parts: Sequence[BoardProblem]) -> "RigProblem":
         return replace(self, parts=tuple(parts))
 
-    def shifted(self, state: RigState, shared: Array) -> RigState:
-        """Return the state whose shared parameters (D,) before the offsets are moved by a step."""
-        step = np.concatenate([shared, np.zeros(self.shared - len(shared))])
-        return self.retract(state, Step(step, np.zeros(self.groups)))
-
     def retract(self, state: RigState, step: Step) -> RigState:
         """Return the state moved by a step."""
         lenses = []
