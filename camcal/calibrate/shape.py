@@ -207,15 +207,17 @@ def hold_to_print(
 
     terms: values of the terms of the board's shape, the last of the D parameters that all views share. covariance: by
     the scatter from view to view. Where views are nearly parallel these terms trade with the lens, and errors within
-    views pass for them. The scales of their classes follow such errors; here they are what printers do, against what
-    views know.
+    views pass for them. The scales of their classes follow such errors; here they are those of what views know in fact,
+    but no narrower than the class's median, as boards that have none of it are no reason to claim more.
     """
     step, names = np.zeros(len(covariance)), list(terms)
     for term in (term for term in RATIOS if term in terms):
         place = names.index(term) - len(names)
-        std = next(own.median for own in CLASSES.values() if term in own.terms)
-        gain = covariance[place] / (covariance[place, place] + std**2)
-        step = step - gain * (terms[term] + step[place])
+        own = next(own for own in CLASSES.values() if term in own.terms)
+        value, variance = terms[term] + step[place], covariance[place, place]
+        scale = scale_of(np.array([1 / variance]), np.array([value / variance]), own.median, own.spread)
+        gain = covariance[place] / (variance + max(scale.effective, own.median) ** 2)  # wider where views are sure
+        step = step - gain * value
         covariance = covariance - np.outer(gain, covariance[place])
     if not step.any():
         return state, covariance
