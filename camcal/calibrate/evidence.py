@@ -11,7 +11,6 @@ from camcal.calibrate.effects import (
     FLEX,
     FLEX_TERMS,
     ROLLING,
-    SMOOTH,
     Effect,
     EffectScales,
     columns_at,
@@ -33,32 +32,27 @@ _NAMES = tuple(effect.name for effect in EFFECTS)
 
 @dataclass(frozen=True)
 class Evidence:
-    """share: 0…1, the weight of the effects. named: 0…1, that of the named causes among them over anything smooth.
-    rolling, flex: the gains of the log likelihood that these two bring beside the others.
+    """share: 0…1, the weight of the effects. rolling, flex: the gains of the log likelihood that these two
+    bring beside the others.
     """
 
     share: float = 0.0
-    named: float = 0.0
     rolling: float = 0.0
     flex: float = 0.0
-
-
-PRESENT = Evidence(1.0)
 
 
 @dataclass(frozen=True)
 class WithinViews:
     """What the errors within views are.
 
-    share: 0…1, the evidence that they are more than noise, named: that they have a named cause. rolling_px: by how far
-    the rows of an image are apart over its height, where a rolling shutter is seen, flex: RMS height in the board's
-    unit by which the board bends, where that is seen: each of a typical view (median) and at most.
+    share: 0…1, the evidence that they are more than noise. rolling_px: by how far the rows of an image are apart
+    over its height, where a rolling shutter is seen, flex: RMS height in the board's unit by which the board bends,
+    where that is seen: each of a typical view (median) and at most.
     """
 
     share: float = 0.0
     rolling_px: tuple[float, float] | None = None
     flex: tuple[float, float] | None = None
-    named: float = 0.0
 
 
 def evidence_of_effects(plain: Estimate) -> Evidence:
@@ -85,13 +79,10 @@ def evidence_of_effects(plain: Estimate) -> Evidence:
 
     everything = gain(_NAMES)
     share = float(np.clip((everything - _NOTHING) / (_CERTAIN - _NOTHING), 0, 1))
-    if everything < _CERTAIN:  # no part of it can have more
+    if everything < NAMED:  # no part of it can have more
         return Evidence(share)
-    named = float(np.clip((everything - gain([SMOOTH.name]) - _CERTAIN) / (NAMED - _CERTAIN), 0, 1))
-    if everything < NAMED:
-        return Evidence(share, named)
     rolling, flex = (everything - gain([name for name in _NAMES if name != own.name]) for own in (ROLLING, FLEX))
-    return Evidence(share, named, rolling, flex)
+    return Evidence(share, rolling, flex)
 
 
 def within_views(evidence: Evidence, everything: Estimate, height: int) -> WithinViews:
@@ -112,7 +103,7 @@ def within_views(evidence: Evidence, everything: Estimate, height: int) -> Withi
         terms = basis(problem.board, FLEX_TERMS)[:, 2]
         squares = np.einsum("cm,vmn,cn->vc", terms, _products(everything, columns.effect, FLEX), terms)
         flex = _typical_and_most(np.sqrt(np.mean(squares, axis=1)))
-    return WithinViews(evidence.share, rolling_px, flex, evidence.named)
+    return WithinViews(evidence.share, rolling_px, flex)
 
 
 def _products(estimate: Estimate, effect: Array, wanted: Effect) -> Array:

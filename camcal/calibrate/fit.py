@@ -172,12 +172,11 @@ def averaged_fit(
             errors=errors,
         )
     metric = image_metric(moved)
-    evidence = Evidence(errors.share, errors.named)
-    weights = weights_of(left_out, metric, evidence)
+    weights = weights_of(left_out, metric, errors.share)
     state = plain.state
     if len(estimates) > 1:
         state = averaged([own.state for own in estimates], weights)
-    covariance = covariance_of(estimates, left_out, metric, weights, evidence)
+    covariance = covariance_of(estimates, left_out, metric, weights, errors.share)
     terms = dict(zip(plain.problem.terms, state.shape.tolist(), strict=True))
     state, covariance = hold_to_print(plain.problem, state, terms, covariance)
     if state is not plain.state:

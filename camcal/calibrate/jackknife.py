@@ -22,7 +22,6 @@ from scipy.optimize import minimize_scalar, nnls
 
 from camcal.arrays import Array, FloatArray
 from camcal.calibrate.estimator import Estimate
-from camcal.calibrate.evidence import PRESENT, Evidence
 from camcal.calibrate.influence import Solution
 from camcal.calibrate.problem import State
 from camcal.geometry import rotation as so3
@@ -45,14 +44,11 @@ def image_metric(displacements: Array) -> Array:
     return np.asarray(flat.T @ flat / len(displacements))
 
 
-def weights_of(
-    left_out: Sequence[Array], metric: Array, evidence: Evidence = PRESENT, products: Array | None = None
-) -> Array:
+def weights_of(left_out: Sequence[Array], metric: Array, evidence: float = 1.0, products: Array | None = None) -> Array:
     """Return the weights of estimates, none negative, that sum to one.
 
     left_out: of each estimate (G, D), see `influence`. metric: (K, K) of the lens, the first K of D parameters.
-    evidence: whose share goes to the weights, the rest to the first estimate; of that share the last estimate has what
-    is named, as a model that is certain needs no average. products: (G, k, k) px² of what is to
+    evidence: 0…1, the share of the weights; the rest goes to the first estimate. products: (G, k, k) px² of what is to
     be small, view by view; None: the scatter of the estimates over the image.
     Each estimate's own scatter counts once more with ten views, and less with more of them: from a few views it is not
     known well, and weights fitted to chance would vary more than equal ones.
@@ -85,10 +81,8 @@ def _least_spread(spread: Array, views: int, *, noisy: bool = False) -> Array:
     return np.asarray(weights / weights.sum())
 
 
-def _weighted_by_evidence(weights: Array, evidence: Evidence) -> Array:
-    first, last = np.eye(len(weights))[[0, -1]]
-    found = (1 - evidence.named) * weights + evidence.named * last
-    return np.asarray((1 - evidence.share) * first + evidence.share * found)
+def _weighted_by_evidence(weights: Array, evidence: float) -> Array:
+    return np.asarray((1 - evidence) * np.eye(1, len(weights))[0] + evidence * weights)
 
 
 def covariance_of(
@@ -96,7 +90,7 @@ def covariance_of(
     left_out: Sequence[Array],
     metric: Array,
     weights: Array,
-    evidence: Evidence = PRESENT,
+    evidence: float = 1.0,
     blocks: Sequence[slice] = (),
     products: Array | None = None,
 ) -> Array:
@@ -127,12 +121,12 @@ def covariance_of(
     mixed = np.outer(of_scatter, of_scatter) * scatter + np.outer(of_claimed, of_claimed) * claimed
     least = np.maximum(1 / scale, 1.0)
     mixed *= np.outer(least, least)
-    doubted = evidence.share + (1 - evidence.share) * min((_FEW / views) ** 2, 1.0)
+    doubted = evidence + (1 - evidence) * min((_FEW / views) ** 2, 1.0)
     result = doubted * mixed + (1 - doubted) * claimed
     return np.asarray((result + result.T) / 2)  # sums of strongly correlated parameters are symmetric to rounding only
 
 
-def _weights_of_others(left_out: Sequence[Array], metric: Array, evidence: Evidence, products: Array | None) -> Array:
+def _weights_of_others(left_out: Sequence[Array], metric: Array, evidence: float, products: Array | None) -> Array:
     """Return the weights (G, k) that the other views than each give; arguments as of `weights_of`."""
     spreads = _spreads(left_out, metric) if products is None else products
     total, others, noisy = spreads.sum(axis=0), len(spreads) - 1, products is not None

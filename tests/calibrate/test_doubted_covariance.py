@@ -5,7 +5,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from camcal.calibrate.evidence import Evidence
 from camcal.calibrate.jackknife import covariance_of
 from camcal.calibrate.problem import BoardProblem, State
 
@@ -19,7 +18,7 @@ def covariance(views, believed):
     state = State(np.zeros(LENS), np.zeros((0, 3, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros((0, 3)))
     estimates = [SimpleNamespace(problem=problem, state=state, posterior=SimpleNamespace(shared=CLAIMED))]
     moved = [10 * np.random.default_rng(views).normal(size=(views, LENS))]
-    return [covariance_of(estimates, moved, np.eye(LENS), np.ones(1), Evidence(share)) for share in (believed, 1.0)]
+    return [covariance_of(estimates, moved, np.eye(LENS), np.ones(1), share) for share in (believed, 1.0)]
 
 
 def test_many_views_that_do_not_show_errors_leave_what_is_claimed():

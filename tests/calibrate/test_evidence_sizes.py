@@ -61,25 +61,16 @@ def looked_at(monkeypatch, count, gains):
 
 @pytest.mark.parametrize(("gain", "share"), [(-1.0, 0), (2.9, 0), (6.5, 0.5), (8.6, 0.8), (10.1, 1), (19.9, 1)])
 def test_effects_are_believed_in_from_a_gain_of_three_on_and_fully_from_ten(monkeypatch, gain, share):
-    found, asked = looked_at(monkeypatch, 3, {NAMES: gain, ("smooth",): gain})
+    found, asked = looked_at(monkeypatch, 3, {NAMES: gain})
     assert found.share == pytest.approx(share, abs=1e-12)
-    assert (found.named, found.rolling, found.flex) == (0.0, 0.0, 0.0)
-    assert len(asked) == (1 if gain < 10 else 2)
-
-
-@pytest.mark.parametrize(("over_smooth", "named"), [(5.0, 0), (9.9, 0), (15.0, 0.5), (20.1, 1), (40.0, 1)])
-def test_named_causes_are_believed_in_from_a_gain_of_ten_over_anything_smooth_and_fully_from_twenty(
-    monkeypatch, over_smooth, named
-):
-    others = dict.fromkeys([("smooth", "flex"), ("smooth", "rolling")], 50.0)
-    found, _ = looked_at(monkeypatch, 3, {NAMES: 50.0, ("smooth",): 50.0 - over_smooth} | others)
-    assert found.named == pytest.approx(named, abs=1e-12)
+    assert (found.rolling, found.flex) == (0.0, 0.0)
+    assert len(asked) == 1
 
 
 def test_rolling_and_flex_gain_what_is_lost_without_them(monkeypatch):
-    gains = {NAMES: 120.0, ("smooth",): 80.0, ("smooth", "flex"): 90.0, ("smooth", "rolling"): 115.0}
+    gains = {NAMES: 120.0, ("smooth", "flex"): 90.0, ("smooth", "rolling"): 115.0}
     found, _ = looked_at(monkeypatch, 3, gains)
-    assert found == Evidence(1.0, named=1.0, rolling=30.0, flex=5.0)
+    assert found == Evidence(1.0, rolling=30.0, flex=5.0)
 
 
 def test_up_to_forty_views_are_looked_at_from_the_first_to_the_last(monkeypatch):

@@ -8,7 +8,6 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.calibrate.effects import EFFECTS, SMOOTH, EffectColumns, columns_at, likelihood_gain, motion_columns
-from camcal.calibrate.evidence import Evidence
 from camcal.calibrate.fit import displacements
 from camcal.calibrate.influence import influence
 from camcal.calibrate.intrinsics import Solved
@@ -130,8 +129,7 @@ def fit_rig(
     for effects in _EFFECTS if share > 0 and plain.converged else ():
         following = _with_effects(estimates[-1], effects)
         estimates += [following] if following is not None and following.converged else []
-    named = max(start.solved.fit.errors.named for start in starts) if len(estimates) > len(_EFFECTS) else 0.0
-    return _averaged(tuple(estimates), Evidence(share, named), turns, [start.solved.size for start in starts])
+    return _averaged(tuple(estimates), share, turns, [start.solved.size for start in starts])
 
 
 def _with_effects(start: RigEstimate, effects: tuple[str, ...]) -> RigEstimate | None:
@@ -247,19 +245,19 @@ def _gain(plain: RigEstimate, problem: RigProblem, columns: Sequence[EffectColum
 
 
 def _averaged(
-    estimates: tuple[RigEstimate, ...], evidence: Evidence, turns: tuple[Array, ...], sizes: Sequence[tuple[int, int]]
+    estimates: tuple[RigEstimate, ...], share: float, turns: tuple[Array, ...], sizes: Sequence[tuple[int, int]]
 ) -> RigFit:
     """Return the solution by estimates, in which those that model effects are weighted by the evidence for these."""
     plain = estimates[0]
     metric = _metric(plain, sizes)
     if metric is None:  # a lens that holds nowhere, as that of a wrong board may
-        estimates, evidence = (plain,), Evidence()
+        estimates, share = (plain,), 0.0
         metric = np.eye(plain.problem.board_start)
     left_out = [with_shares(influence(own), own) for own in estimates]
     products = None if plain.motion or len(estimates) == 1 else _prediction_products(estimates, left_out)
-    weights = weights_of(left_out, metric, evidence, products)
-    doubted, blocks = replace(evidence, share=max(evidence.share, float(plain.motion))), _blocks(plain.problem)
-    covariance = covariance_of(estimates, left_out, metric, weights, doubted, blocks, products)
+    weights = weights_of(left_out, metric, share, products)
+    evidence, blocks = max(share, float(plain.motion)), _blocks(plain.problem)
+    covariance = covariance_of(estimates, left_out, metric, weights, evidence, blocks, products)
     state = plain.state
     if len(estimates) > 1:
         state = _mean([own.state for own in estimates], weights)
