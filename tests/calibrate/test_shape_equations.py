@@ -262,7 +262,7 @@ def held(bent, stretch, stretch_std, shear=0.0, shear_std=1e-4, between=0.3):
 
 
 def test_printers_hold_what_views_hardly_know_as_a_measurement_of_nothing_would(bent):
-    values = np.array([4e-3, 1e-3])
+    values = np.array([1e-3, 3e-4])
     step, places, before, after = held(bent, values[0], 2e-3, values[1], 5e-4)
     measured = np.eye(len(before))[places]
     gain = before @ measured.T @ np.linalg.inv(measured @ before @ measured.T + np.diag(PRINTED**2))
@@ -282,6 +282,12 @@ def test_the_lens_follows_the_print_where_views_know_as_little(bent, factor, kep
     step, places, _, _ = held(bent, stretch, factor * stretch, between=0.0)
     assert step[places[0]] == pytest.approx((kept - 1) * stretch)
     assert step[0] == pytest.approx(0.9 * 2.0 / factor * (1 - kept))
+
+
+@pytest.mark.parametrize(("std", "least", "most"), [(4e-4, 0.95, 1.0), (1e-3, 0.6, 0.9), (4e-3, 0.02, 0.12)])
+def test_boards_that_no_usual_printer_makes_stay_where_views_are_sure_of_them(bent, std, least, most):
+    step, places, _, _ = held(bent, 4e-3, std)
+    assert least < 1 + step[places[0]] / 4e-3 < most
 
 
 def test_a_board_as_drawn_has_no_print_to_hold_to(bent):
