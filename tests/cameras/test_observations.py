@@ -24,7 +24,7 @@ def test_a_row_has_the_camera_the_body_and_the_time_of_its_view():
     assert table.ids[2].tolist() == [0, 1, 2]
     some = table.take(np.array([2, 0]))
     assert [some.cameras[place] for place in some.camera] == ["right", "left"]
-    assert some.counting == 5
+    assert np.count_nonzero(some.weights) == 5
 
 
 def test_padding_repeats_a_pixel_that_the_lens_knows():
