@@ -17,7 +17,7 @@ BOARD = Board("chessboard", 9, 6, 0.025)
 SIZE = (1280, 960)
 VIEWS = 24
 NOISE_PX = 0.1
-SHEAR_PX = 2.0
+SHEAR_PX = 3.0
 FLAT_DEG = 5.5
 
 
