@@ -283,7 +283,7 @@ def require_plausible(solved: Solved, options: Options) -> None:
     used = _kept(problem, residuals).any(axis=1)
     if used.sum() >= MIN_VIEWS:
         require_tilts(state.rotations[used])
-    found = misfit(problem, state, residuals)
+    found = misfit(problem, state, residuals, options.max_rejected)
     require_fit(found, solved.images, options.max_rejected, options.model.name, solved.cameras)
     require_views(int(used.sum()), len(solved.detections), 0)
 

@@ -42,8 +42,8 @@ _MAX_FOCAL_ERROR = 0.05
 @dataclass(frozen=True, eq=False)
 class Misfit:
     """distances: (V, P) px between corners and their projections, inf without one. sides: (V,) px of a square.
-    roughness: see `roughness`, where corners are wrong or the median is too large; smoothness: of residuals, see
-    `smoothness`, likewise: it tells a lens model that does not fit from corners that are wrong.
+    roughness: see `roughness`, where too many corners are wrong or the median is too large; smoothness: of residuals,
+    see `smoothness`, likewise: it tells a lens model that does not fit from corners that are wrong.
     """
 
     distances: Array
@@ -57,6 +57,11 @@ class Misfit:
         """Which corners (V, P) are wrong."""
         limit = np.maximum(_GROSS_PX, _GROSS_SHARE * self.sides)[:, None]
         return np.asarray(self.present & (self.distances > limit))
+
+    @property
+    def share(self) -> float:
+        """The share of the corners that are wrong."""
+        return float(self.gross.sum()) / int(self.present.sum())
 
     @property
     def medians(self) -> Array:
@@ -74,14 +79,17 @@ class Misfit:
         return max(_MEDIAN_PX, _MEDIAN_SHARE * float(np.median(np.repeat(self.sides, self.present.sum(axis=1)))))
 
 
-def misfit(problem: BoardProblem, state: State, residuals: Array) -> Misfit:
-    """Return how far the corners are off at a solution; residuals: (2, V, P) px, NaN without an image."""
+def misfit(problem: BoardProblem, state: State, residuals: Array, most: float = 1.0) -> Misfit:
+    """Return how far the corners are off at a solution; residuals: (2, V, P) px, NaN without an image.
+
+    most: the share of wrong corners beyond which it is asked why.
+    """
     present = problem.observations.present
     axes = problem.board.spacing * problem.derivatives(state).by_board(state.rotations)[..., :2]
     areas = np.where(present, np.abs(np.linalg.det(axes)), np.nan)
     distances = np.where(np.isfinite(residuals).all(axis=0), np.hypot(*residuals), np.inf)
     found = Misfit(distances, np.sqrt(np.nanmedian(areas, axis=1)), present)
-    if found.gross.any() or found.median_px > found.median_limit_px:
+    if found.share > most or found.median_px > found.median_limit_px:
         smooth = smoothness(problem, state, present.astype(float))
         return replace(found, roughness=roughness(problem), smoothness=smooth)
     return found
@@ -115,8 +123,7 @@ def require_fit(
     """Raise InsufficientData where more than a share `most` of the corners are wrong, or the typical one is; images:
     the names of the views. cameras: the groups that they may fall into.
     """
-    gross, total = found.gross, int(found.present.sum())
-    share = float(gross.sum()) / total
+    gross, total, share = found.gross, int(found.present.sum()), found.share
     if share <= most and found.median_px <= found.median_limit_px:
         return
     how = (

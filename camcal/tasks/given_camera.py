@@ -116,6 +116,8 @@ def view_outside_region(
     view_R_camera: Array | None = None,
 ) -> Iterator[Message]:
     """Yield a warning where a view shows more of the image of a camera than the verdict on it holds for."""
+    if verdict is None or verdict.region is None:
+        return
     width, height = view.image_size
     pixels = grid_pixels(np.linspace(0, width - 1, GRID[0]), np.linspace(0, height - 1, GRID[1]))
     directions = view.unproject(pixels).directions

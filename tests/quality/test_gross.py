@@ -265,6 +265,15 @@ def test_how_smooth_views_are_is_asked_where_corners_are_wrong():
     assert far.roughness == roughness(problem)
 
 
+@pytest.mark.parametrize(("wrong", "asked"), [(2, False), (8, True)])
+def test_how_smooth_views_are_is_asked_where_more_corners_are_wrong_than_may_be(wrong, asked):
+    problem, state = seen_by([upright(0.5)] * 3)
+    residuals = np.zeros((2, *problem.observations.weights.shape))
+    residuals[:, :, :wrong] = 20.0  # of 54 corners in each view
+    assert misfit(problem, state, residuals, MOST).share == pytest.approx(wrong / BOARD.count)
+    assert (misfit(problem, state, residuals, MOST).roughness == roughness(problem)) == asked
+
+
 @pytest.mark.slow
 def test_a_wide_lens_that_is_called_a_pinhole_is_refused_for_its_model():
     wide = Camera(model_named("kannala_brandt4"), (1600, 1200), np.array([520.0, 520, 799, 599, 0.02, -0.01, 0.004, 0]))
