@@ -177,6 +177,8 @@ class _Submission(Generic[Item, Value]):
         self.terms = terms
         self.progress = progress
         self.waiting: deque[tuple[int, Item]] = deque()
+        self.suspects: deque[tuple[int, Item]] = deque()
+        self.tried: set[int] = set()
         self.at_work: dict[Any, list[tuple[int, Item]]] = {}
         self.together = 1
         self.done: queue.SimpleQueue[Any] = queue.SimpleQueue()
@@ -253,6 +255,9 @@ class _Submission(Generic[Item, Value]):
         while self.upcoming is not None and self.upcoming[0] < limit and len(tasks) < self.together:
             tasks.append(self.upcoming)
             self.upcoming = next(self.tasks, None)
+        if not tasks and not self.at_work and self.suspects:
+            tasks.append(self.suspects.popleft())
+            self.tried.add(tasks[0][0])
         return [] if self.has_failed else tasks
 
     def count_workers(self) -> None:
@@ -297,7 +302,11 @@ class _Submission(Generic[Item, Value]):
             self.fail(future)
 
     def fail(self, future: Any) -> None:
-        """Note an item that no worker survived, or send several again one by one; raises any other exception."""
+        """Note an item that no worker survived alone; raises any other exception.
+
+        Several items sent together are sent again one by one, and one that others were beside once more by itself:
+        Dask blames whatever lay at a worker that died.
+        """
         from distributed import KilledWorker
 
         error = future.exception()
@@ -310,6 +319,9 @@ class _Submission(Generic[Item, Value]):
             self.waiting.extend(tasks)
             return
         ((index, item),) = tasks
+        if index not in self.tried:
+            self.suspects.append((index, item))
+            return
         text = f"{error.allowed_failures + 1} workers died with it; the input may be damaged, or memory short"
         self.finished[index] = Outcome(item, error=ItemsFailed(text, where=item_name(item) or f"item {index + 1}"))
 
