@@ -78,6 +78,7 @@ CODES: Mapping[str, Mapping[str, str]] = {
         "blurred_images": "residuals are random and large",
         "lens_model_or_blur": "residuals are large, of unclear kind",
         "board_does_not_fit": "corner ids do not match the board",
+        "board_not_flat": "--flat-board with a bent board",
         "too_few_views": "fewer than three different views with the board",
         "no_tilted_views": "the board was not tilted",
         "undetermined_focal_length": "the standard deviation of the focal length is too large",

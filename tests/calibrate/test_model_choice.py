@@ -25,11 +25,12 @@ from camcal.cameras.validity import field_of_view, folds_inside
 from camcal.errors import InsufficientData, InvalidInput, NotConverged
 from camcal.geometry import rotation as so3
 from camcal.quality.lens_choice import GAIN, chosen, rank_models
+from camcal.simulate import render
 from camcal.solve.descent import Stopping
 from camcal.solve.least_squares import minimise
 from camcal.targets.board import Board
 from camcal.tasks.calibration import model_selection
-from camcal.tasks.calibration.model_selection import CANDIDATES, select, solve_given
+from camcal.tasks.calibration.model_selection import CANDIDATES, select, solve, solve_given
 
 FLAT = ShapeOptions(smooth=False, offsets=False)
 OPTIONS = Options(model_named(DEFAULT_MODEL), shape=FLAT)  # the model does not matter
@@ -510,3 +511,31 @@ def test_a_refused_lens_model_is_not_called_the_cause_because_its_own_brief_cali
     assert text.startswith("calibration not converged; none of opencv8 passes all checks either")
     text = model_selection._with_remedy(refused, "opencv5", [own, replace(other, failures=())]).message
     assert text.startswith("the lens model opencv5 does not fit these views: use --model opencv8, which passes")
+
+
+# A board that is held flat
+
+
+@pytest.mark.parametrize("choose", [True, False])
+@pytest.mark.parametrize("bow_m", [0.004, 0.009])
+def test_a_bent_board_that_is_held_flat_is_the_cause_that_is_named(bow_m, choose):
+    scene = make_scene(count=10, seed=3)
+    views = scene.observe(3, noise_px=0.1, shape=render.bow(bow_m, 0.0))
+    words = rf"the board is bent by {1e3 * bow_m:.0f}\.\d\d mm, and --flat-board holds it flat: calibrate without it"
+    if bow_m > 0.005:
+        with pytest.raises(InsufficientData, match=words) as caught:
+            solve(views, scene.board, OPTIONS, choose=choose)
+        codes = [message.code for message in caught.value.failures]
+    else:
+        found = solve(views, scene.board, OPTIONS, choose=choose).assessment
+        assert re.match(words, found.failures[0].text)
+        codes = [message.code for message in found.messages]
+    assert codes == ["board_not_flat"]
+    assert solve(views, scene.board, replace(OPTIONS, shape=ShapeOptions())).assessment.trustworthy
+
+
+def test_a_board_that_is_flat_is_no_cause():
+    scene = make_scene(count=4, seed=3)
+    found = solve(scene.observe(3, noise_px=1.0), scene.board, OPTIONS).assessment
+    assert not found.trustworthy
+    assert "board_not_flat" not in [message.code for message in found.messages]

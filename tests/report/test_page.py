@@ -10,7 +10,7 @@ from report_scenes import SCENES, detections_of
 
 from camcal.errors import InsufficientData
 from camcal.formats import detections
-from camcal.report.page.record import DataBlock, Page, PageVerdict, Section, Table
+from camcal.report.page.record import DataBlock, Figure, Page, PageVerdict, Section, ShownMessage, Table
 from camcal.report.page.render import rendered
 from camcal.tasks.calibration.calibrate import calibrate
 from camcal.tasks.calibration.options import CalibrateOptions
@@ -103,6 +103,14 @@ def test_the_verdict_comes_first_with_its_reason_and_what_to_do(good, refused):
         good.index("Trustworthy</h2>") < good.index("Key figures") < good.index("Projection uncertainty and coverage")
     )
     assert refused.index("No calibration</h2>") < refused.index("What to do:</b> Check columns, rows") < 20_000
+
+
+def test_failures_come_before_the_key_figures_and_warnings_after_them():
+    failure, warning = (ShownMessage(level, "", f"This is a {level}.") for level in ("failure", "warning"))
+    page = bare(figures=(Figure("Views", "3"),), messages=(failure, warning))
+    html = rendered(page)
+    assert html.index("This is a failure.") < html.index("Key figures") < html.index("This is a warning.")
+    assert html.count("This is a ") == 2
 
 
 def test_sections_come_in_the_order_in_which_they_are_read(good):

@@ -38,7 +38,7 @@ from camcal.tasks.calibration.board_views import BoardViews, board_views
 from camcal.tasks.calibration.camera_result import Channel, camera_file, channel_figures
 from camcal.tasks.calibration.corner_refinement import RefinementSummary, is_refined, refine_corners
 from camcal.tasks.calibration.image_circle_of_views import circle_lines, known_circle, with_circle
-from camcal.tasks.calibration.model_selection import Selection, compared, select, solve_given
+from camcal.tasks.calibration.model_selection import Selection, compared, solve
 from camcal.tasks.calibration.options import CalibrateOptions
 from camcal.tasks.calibration.video_frames import FrameRecord
 from camcal.tasks.calibration.video_frames import as_data as frame_data
@@ -141,15 +141,15 @@ def calibrated(
     circle = known_circle(seen.detections, guess)
     if options.save_detections:
         detections.write(options.save_detections, seen.detections)
-    solve = partial(select if options.model is None else solve_given, board=seen.board, options=how, circle=circle)
+    solve_seen = partial(solve, board=seen.board, options=how, circle=circle, choose=options.model is None)
     refinement: RefinementSummary | None = None
     found: tuple[Message, ...] = ()
     try:
         if refined:
             brief = _brief(seen, how, options.model is None, circle, progress)
-            seen, selection, refinement, found = _refined(seen, brief, solve, options, progress)
+            seen, selection, refinement, found = _refined(seen, brief, solve_seen, options, progress)
         else:
-            selection = _solve_views(solve, seen, progress)
+            selection = _solve_views(solve_seen, seen, progress)
     except (InsufficientData, NotConverged) as error:
         if options.report is not None:
             from camcal.tasks.reports.camera_page import write_refusal

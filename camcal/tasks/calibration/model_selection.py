@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from camcal.calibrate import intrinsics
+from camcal.calibrate.fit import ShapeOptions
 from camcal.calibrate.intrinsics import Calibration, CandidateModel, compare_models
 from camcal.cameras.catalogue import DEFAULT_MODEL, model_named
 from camcal.cameras.validity import ImageCircle
@@ -35,6 +36,47 @@ class Selection:
     candidates: tuple[CandidateModel, ...] = ()
     warnings: tuple[Message, ...] = ()
     lines: tuple[str, ...] = ()
+
+
+def solve(
+    views: Sequence[BoardDetection],
+    board: Board,
+    options: intrinsics.Options,
+    circle: ImageCircle | None = None,
+    *,
+    choose: bool = True,
+) -> Selection:
+    """Return the calibration by `select`, or by `solve_given` with the lens model of the options where that is not to
+    be chosen. A bend of the board that is held flat is named as the cause where a calibration without that passes.
+    """
+    try:
+        found = (select if choose else solve_given)(views, board, options, circle)
+    except (InsufficientData, NotConverged) as error:
+        if (bent := _bend(views, board, options, circle)) is None:
+            raise
+        raise type(error)(bent.text, where=error.where, failures=[bent]) from error
+    if not found.assessment.trustworthy:
+        used = replace(options, model=found.calibration.camera.model)
+        if (bent := _bend(views, board, used, circle)) is not None:
+            return replace(found, assessment=replace(found.assessment, failures=(bent,), warnings=()))
+    return found
+
+
+def _bend(
+    views: Sequence[BoardDetection], board: Board, options: intrinsics.Options, circle: ImageCircle | None
+) -> Message | None:
+    """Return that the board is not flat, as the options say, None where a brief calibration that estimates its shape
+    does not pass either, or the options do so already.
+    """
+    if options.shape.smooth:
+        return None
+    [own] = judge(compare_models(views, board, replace(options, shape=ShapeOptions()), [options.model]), circle)
+    if own.calibration is None or own.failures:
+        return None
+    bend = own.calibration.surface.deflection
+    size = f"{1e3 * bend:.2f} mm" if board.unit == "m" else f"{bend:.3f} squares"
+    text = f"the board is bent by {size}, and --flat-board holds it flat: calibrate without it, which passes all checks"
+    return Message("board_not_flat", f"{text} in a brief calibration", {"deflection": bend})
 
 
 def select(
