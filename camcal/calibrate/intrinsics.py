@@ -14,7 +14,7 @@ from camcal.calibrate.fit import CalibrationFit, ShapeOptions, averaged_fit, fit
 from camcal.calibrate.influence import influence
 from camcal.calibrate.jackknife import predict_views
 from camcal.calibrate.noise import REJECTED
-from camcal.calibrate.problem import POSE, BoardProblem
+from camcal.calibrate.problem import POSE, BoardProblem, State
 from camcal.calibrate.refusals import (
     MIN_VIEWS,
     SAME_VIEW_PX,
@@ -148,7 +148,6 @@ class Solved:
 def calibrate(detections: Sequence[BoardDetection], board: Board, options: Options) -> Calibration:
     """Return the camera that saw a board in `detections`; raises as `solve` does."""
     found = solve(detections, board, options)
-    require_plausible(found, options)
     covariances = _pose_covariances(found.fit)
     return record(found, covariances, between_views(found.fit.estimates, found.images))
 
@@ -163,13 +162,16 @@ def solve(detections: Sequence[BoardDetection], board: Board, options: Options) 
     usable = [view for view, reason in zip(detections, reasons, strict=True) if reason is None]
     try:
         plain, turns = _plain(Observations.of(usable), board, size, options)
+        images = [view.image for view in usable]
+        cameras = two_cameras(plain, images, size, options.shape, options.named_groups)
+        if plain.converged:  # before errors within views are modelled, which would take long for a wrong lens
+            _require_plausible(plain.problem, plain.state, images, options, cameras)
         result = fit(plain, turns, size)
     except (SingularError, np.linalg.LinAlgError) as error:
         raise InsufficientData(
             "some parameters are not determined by the views: add views tilted by 20° to 45° about both axes, "
             "or hold parameters with --fix"
         ) from error
-    cameras = two_cameras(plain, [view.image for view in usable], size, options.shape, options.named_groups)
     if not result.plain.converged:
         # the likeliest causes, and better things to say
         require_one_camera(cameras)
@@ -177,6 +179,7 @@ def solve(detections: Sequence[BoardDetection], board: Board, options: Options) 
         raise NotConverged(
             f"calibration not converged after {result.plain.passes} passes with the lens model {options.model.name}"
         )
+    _require_plausible(result.problem, result.state, images, options, cameras)
     return Solved(result, tuple(detections), tuple(reasons), size, cameras)
 
 
@@ -202,7 +205,7 @@ def compare_models(
             solved = Solved(brief, tuple(detections), tuple(reasons), size, None)
             candidate = CandidateModel(model.name, scores, corners, sigma)
             try:
-                require_plausible(solved, replace(options, model=model))
+                _require_plausible(brief.problem, brief.state, solved.images, replace(options, model=model))
                 found = record(solved, _pose_covariances(brief), BetweenViews())
                 result.append(replace(candidate, calibration=found))
             except InsufficientData as error:
@@ -276,16 +279,17 @@ def _held(options: Options, size: tuple[int, int]) -> tuple[Array, Array | None]
     return held, start if guess is not None else None
 
 
-def require_plausible(solved: Solved, options: Options) -> None:
-    """Raise InsufficientData where a solution cannot be one of this board and this lens."""
-    problem, state = solved.fit.problem, solved.fit.state
+def _require_plausible(
+    problem: BoardProblem, state: State, images: Sequence[str], options: Options, cameras: TwoCameras | None = None
+) -> None:
+    """Raise InsufficientData where a solution cannot be one of this board and this lens; images: of its views."""
     residuals = problem.residuals(state)
     used = _kept(problem, residuals).any(axis=1)
     if used.sum() >= MIN_VIEWS:
         require_tilts(state.rotations[used])
     found = misfit(problem, state, residuals, options.max_rejected)
-    require_fit(found, solved.images, options.max_rejected, options.model.name, solved.cameras)
-    require_views(int(used.sum()), len(solved.detections), 0)
+    require_fit(found, images, options.max_rejected, options.model.name, cameras)
+    require_views(int(used.sum()), len(images), 0)
 
 
 def _kept(problem: BoardProblem, residuals: Array) -> Array:

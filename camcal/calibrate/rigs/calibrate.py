@@ -102,7 +102,6 @@ def _alone(captures: Captures, board: Board, options: RigOptions) -> _Cameras:
         views = [view for view in captures.of(camera) if view is not None]
         try:
             solved = intrinsics.solve(views, board, how)
-            intrinsics.require_plausible(solved, how)
         except (InsufficientData, NotConverged) as error:
             other = next((view.other for view in views if view.other is not None), None)
             hint = f"; its images show a {other.words}" if other is not None else ""
