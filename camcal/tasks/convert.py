@@ -123,4 +123,5 @@ def words(converted: ConvertedFile) -> str:
         for name, found in converted.refits.items()
     ]
     left_out = f"; not stored: {', '.join(converted.left_out)}" if converted.left_out else ""
-    return f"{converted.format.title}, {', '.join(refits) or 'exact'}{left_out}"
+    usage = f"; {converted.format.usage(converted.file)}" if converted.format.usage else ""
+    return f"{converted.format.title}, {', '.join(refits) or 'exact'}{left_out}{usage}"

@@ -2,6 +2,7 @@
 
 import json
 
+import cv2
 import numpy as np
 import pytest
 import yaml
@@ -29,6 +30,23 @@ def test_it_says_what_was_written_and_what_is_not_held(run, tmp_path, rig):
     assert (code, err) == (0, "")
     assert out == f"ROS camera_info, exact; not stored: noise\nwrote {tmp_path / 'left.yaml'}\n"
     assert yaml.safe_load((tmp_path / "left.yaml").read_text())["camera_name"] == "left"
+
+
+@pytest.mark.parametrize("name", ["camera.yml", "camera.xml", "camera.json"])
+def test_a_fisheye_is_said_to_be_used_with_the_functions_for_it(run, tmp_path, name):
+    said = {
+        "opencv5": "use cv2.undistort(image, K, D)",
+        "kannala_brandt4": "fisheye: use cv2.fisheye.undistortImage(image, K, D, Knew=K), not cv2.undistort",
+    }
+    fisheye = Camera(model_named("kannala_brandt4"), (640, 480), [300.0, 301.0, 320.0, 240.0, 0.01, 0.0, 0.0, 0.0])
+    for camera in (LENS, fisheye):
+        words = said[camera.model.name]
+        native.write(tmp_path / "camera.camcal.yaml", CameraFile({"camera": CameraEntry(camera)}))
+        _, out, _ = run("convert", tmp_path / "camera.camcal.yaml", tmp_path / name, "--to", "opencv", "--overwrite")
+        assert out.startswith(f"OpenCV FileStorage, exact; {words}\n")
+        assert (tmp_path / name).read_text().count(words) == 1
+        stored = cv2.FileStorage(str(tmp_path / name), cv2.FILE_STORAGE_READ)
+        np.testing.assert_array_equal(stored.getNode("camera_matrix").mat(), camera.K)
 
 
 def test_the_document(run, tmp_path, rig):

@@ -40,9 +40,12 @@ def parse(text: str, where: str) -> Document:
     return Document(where, _parse_xml(text, where), {}) if is_xml(text) else parse_foreign(text, where)
 
 
-def text_of(items: Mapping[str, Item], suffix: str) -> str:
-    """Return the text of items by their keys: XML or JSON where the suffix says so, otherwise YAML."""
-    return _WRITERS.get(suffix.lower(), _yaml)(items)
+def text_of(items: Mapping[str, Item], suffix: str, comment: str) -> str:
+    """Return the text of items by their keys: XML or JSON where the suffix says so, otherwise YAML.
+
+    comment: a line for people, without double hyphens; in JSON, which has none, it is the first item.
+    """
+    return _WRITERS.get(suffix.lower(), _yaml)(items, comment)
 
 
 def _parse_xml(text: str, where: str) -> dict[str, Any]:
@@ -138,9 +141,10 @@ def _scalar(word: str) -> Any:
     return word.strip('"')
 
 
-def _yaml(items: Mapping[str, Item]) -> str:
+def _yaml(items: Mapping[str, Item], comment: str) -> str:
     """Return the text as OpenCV 2 to 5 read it: the header of YAML 1.0 as OpenCV writes it."""
-    return "%YAML:1.0\n---\n" + "".join(f"{line}\n" for key, item in items.items() for line in _yaml_lines(key, item))
+    lines = [line for key, item in items.items() for line in _yaml_lines(key, item)]
+    return "\n".join(["%YAML:1.0", "---", f"# {comment}", *lines, ""])
 
 
 def _yaml_lines(key: str, item: Item) -> Iterator[str]:
@@ -153,8 +157,8 @@ def _yaml_lines(key: str, item: Item) -> Iterator[str]:
     yield f"   data: [ {_numbers(item, ', ', '       ')} ]"
 
 
-def _xml(items: Mapping[str, Item]) -> str:
-    lines = ['<?xml version="1.0"?>', f"<{ROOT}>"]
+def _xml(items: Mapping[str, Item], comment: str) -> str:
+    lines = ['<?xml version="1.0"?>', f"<{ROOT}>", f"<!-- {comment} -->"]
     for key, item in items.items():
         if isinstance(item, np.ndarray):
             rows, columns = item.shape
@@ -165,9 +169,9 @@ def _xml(items: Mapping[str, Item]) -> str:
     return "\n".join([*lines, f"</{ROOT}>", ""])
 
 
-def _json(items: Mapping[str, Item]) -> str:
+def _json(items: Mapping[str, Item], comment: str) -> str:
     blocks = []
-    for key, item in items.items():
+    for key, item in {"comment": comment, **items}.items():
         if isinstance(item, np.ndarray):
             rows, columns = item.shape
             head = f'"type_id": "opencv-matrix", "rows": {rows}, "cols": {columns}, "dt": "d"'
@@ -192,4 +196,4 @@ def _text(item: float | str) -> str:
     return str(item) if isinstance(item, int) else exact_text(item)
 
 
-_WRITERS: Mapping[str, Callable[[Mapping[str, Item]], str]] = {".xml": _xml, ".json": _json}
+_WRITERS: Mapping[str, Callable[[Mapping[str, Item], str], str]] = {".xml": _xml, ".json": _json}

@@ -20,7 +20,7 @@ from camcal.cameras.model import OPENCV, Camera
 from camcal.errors import InvalidInput
 from camcal.formats.camera_file import CameraEntry, CameraFile, Transform, pose_between
 from camcal.formats.cameras import file_storage
-from camcal.formats.cameras.record import CAMERA, LEFT, RIGHT, CameraFormat, Given, Source
+from camcal.formats.cameras.record import CAMERA, LEFT, RIGHT, CameraFormat, Given, Source, opencv_usage
 from camcal.formats.cameras.values import Values, camera_of
 from camcal.formats.documents import Document
 from camcal.geometry import rotation as so3
@@ -199,7 +199,7 @@ def write(path: Path, file: CameraFile) -> None:
         for side, camera in zip("12", cameras, strict=True):
             items |= _items(camera, f"M{side}", f"D{side}")
         items |= _extrinsics(file)
-    files.write_text(path, file_storage.text_of(items, path.suffix))
+    files.write_text(path, file_storage.text_of(items, path.suffix, opencv_usage(file)))
 
 
 def _items(camera: Camera, matrix: str, coefficients: str) -> dict[str, file_storage.Item]:
@@ -220,6 +220,7 @@ FORMAT = CameraFormat(
     sniff=sniff,
     read=read,
     write=write,
+    usage=opencv_usage,
     most_cameras=2,
     keeps=frozenset({"rms"}),
     files=2,

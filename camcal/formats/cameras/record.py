@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from camcal.cameras.catalogue import MODELS
-from camcal.cameras.model import Camera
+from camcal.cameras.model import FISHEYE, OPENCV, Camera
 from camcal.errors import InvalidInput
 from camcal.formats.camera_file import CameraFile
 
@@ -61,7 +61,8 @@ class CameraFormat:
     sizes of images and transforms between cameras, by the names that `left_out` gives it. frames: which others than
     cameras its transforms may have. files: how many may belong together as IN and --with. sniff: whether a text is of
     this format. read: the cameras in so many files. write: writes cameras whose lens models are of `models`; outputs:
-    the files that this writes. in_folder: whether a path without a suffix is a folder with a file for each camera.
+    the files that this writes. usage: with which functions such a file is used. in_folder: whether a path without a
+    suffix is a folder with a file for each camera.
     """
 
     name: str
@@ -72,11 +73,19 @@ class CameraFormat:
     read: Callable[[Sequence[Source], Given], CameraFile]
     write: Callable[[Path, CameraFile], None]
     outputs: Callable[[Path, CameraFile], tuple[Path, ...]] = _same_path
+    usage: Callable[[CameraFile], str] | None = None
     most_cameras: int | None = None
     keeps: frozenset[str] = frozenset()
     frames: frozenset[str] = frozenset()
     files: int = 1
     in_folder: bool = False
+
+
+def opencv_usage(file: CameraFile) -> str:
+    """Return with which of OpenCV's functions the cameras of a file are used: those of a fisheye are others."""
+    if any(entry.camera.model.opencv == FISHEYE for entry in file.cameras.values()):
+        return f"fisheye: use {FISHEYE}.undistortImage(image, K, D, Knew=K), not {OPENCV}.undistort"
+    return f"use {OPENCV}.undistort(image, K, D)"
 
 
 def expressed(camera: Camera, models: Sequence[str]) -> Camera | None:

@@ -35,7 +35,8 @@ def write_opencv(path: Path, rectification: Rectification) -> None:
     width, height = rectification.size
     items: dict[str, file_storage.Item] = {"image_width": width, "image_height": height}
     items |= {name: np.array(getattr(found, name)) for name in ("R1", "R2", "P1", "P2", "Q")}
-    files.write_text(path, file_storage.text_of(items, path.suffix))
+    usage = "use cv2.initUndistortRectifyMap(K, D, R1, P1, size, cv2.CV_32FC1), of a fisheye cv2.fisheye's"
+    files.write_text(path, file_storage.text_of(items, path.suffix, usage))
 
 
 def as_ros(file: CameraFile, rectification: Rectification, right_T_left: Pose) -> CameraFile:

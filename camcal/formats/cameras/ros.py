@@ -17,11 +17,10 @@ import numpy as np
 
 from camcal import files
 from camcal.arrays import Array
-from camcal.cameras.model import Camera
 from camcal.errors import InvalidInput
 from camcal.formats import emit
 from camcal.formats.camera_file import CameraEntry, CameraFile, Transform, pose_between
-from camcal.formats.cameras.record import CAMERA, LEFT, RIGHT, CameraFormat, Given, Source
+from camcal.formats.cameras.record import CAMERA, LEFT, RIGHT, CameraFormat, Given, Source, opencv_usage
 from camcal.formats.cameras.rectification import Rectified, of_one, of_pair
 from camcal.formats.cameras.values import Values, camera_of
 from camcal.formats.documents import parse_foreign
@@ -151,9 +150,7 @@ def write(path: Path, file: CameraFile) -> None:
     """
     names, entries = list(file.cameras), list(file.cameras.values())
     if len(entries) == 1:
-        files.write_text(
-            outputs(path, file)[0], _text(names[0], entries[0].camera, _kept(entries[0]) or of_one(entries[0].camera))
-        )
+        files.write_text(outputs(path, file)[0], _text(file, names[0], _kept(entries[0]) or of_one(entries[0].camera)))
         return
     if path.suffix or path.is_file() or files.is_stream(path):
         raise InvalidInput(
@@ -165,10 +162,9 @@ def write(path: Path, file: CameraFile) -> None:
             f"no transform joins {names[0]} and {names[1]}; write them one by one, FILE#NAME", where=str(path)
         )
     left, right = entries[0].camera, entries[1].camera
-    for target, name, entry, rectified in zip(
-        outputs(path, file), names, entries, _kept_pair(entries, pose) or of_pair(left, right, pose), strict=True
-    ):
-        files.write_text(target, _text(name, entry.camera, rectified))
+    both = _kept_pair(entries, pose) or of_pair(left, right, pose)
+    for target, name, rectified in zip(outputs(path, file), names, both, strict=True):
+        files.write_text(target, _text(file, name, rectified))
 
 
 def _kept(entry: CameraEntry) -> Rectified | None:
@@ -191,7 +187,8 @@ def _kept_pair(entries: Sequence[CameraEntry], right_T_left: Pose) -> tuple[Rect
     return (left, right) if same else None
 
 
-def _text(name: str, camera: Camera, rectified: Rectified) -> str:
+def _text(file: CameraFile, name: str, rectified: Rectified) -> str:
+    camera = file.cameras[name].camera
     data: dict[str, Any] = {
         "image_width": camera.image_size[0],
         "image_height": camera.image_size[1],
@@ -202,7 +199,7 @@ def _text(name: str, camera: Camera, rectified: Rectified) -> str:
         "rectification_matrix": _matrix(rectified.rotation),
         "projection_matrix": _matrix(rectified.projection),
     }
-    return emit.document(data, number=emit.exact_text)
+    return emit.document(data, f"OpenCV: {opencv_usage(file)}", number=emit.exact_text)
 
 
 def _matrix(matrix: Array) -> Mapping[str, Any]:
