@@ -25,7 +25,9 @@ def __getattr__(name: str) -> object:
     if name == "__all__":
         return list(_homes())
     if name.startswith("_") or name not in _homes():
-        raise AttributeError(f"module 'camcal' has no attribute {name!r}")
+        from camcal.brief import missing
+
+        raise missing("module 'camcal'", name, list(_homes()))
     module, attribute = _homes()[name]
     found = globals()[name] = getattr(import_module(module), attribute)
     return found

@@ -30,7 +30,8 @@ def require_shape(array: ArrayLike, shape: Shape, name: str, dtype: DTypeLike = 
         len(found) == len(shape) and all(want is None or want == have for have, want in zip(found, shape, strict=True))
     ):
         wanted = "(" + ", ".join("N" if n is None else str(n) for n in shape) + ("," if len(shape) == 1 else "") + ")"
-        raise InvalidInput(f"{name} has shape {found}, expected {wanted}")
+        single = f"; give a single one as {name}[None]" if shape[:1] == (None,) and found == shape[1:] else ""
+        raise InvalidInput(f"{name} has shape {found}, expected {wanted}{single}")
     return result
 
 

@@ -8,6 +8,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from camcal.brief import Brief
 from camcal.errors import in_one_line
 
 Value = float | int | str | tuple[str, ...]
@@ -19,7 +20,7 @@ def counted(count: int, noun: str) -> str:
 
 
 @dataclass(frozen=True)
-class Message:
+class Message(Brief):
     """A warning or a failure.
 
     code: from `CODES`, stable. text: what, how much and what to do, in one line. values: the numbers of the text; their

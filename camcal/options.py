@@ -15,6 +15,7 @@ from math import isfinite, isnan, pi
 from pathlib import Path
 from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
 
+from camcal.brief import Brief
 from camcal.errors import InvalidInput
 from camcal.parsing import did_you_mean, parse_integer, parse_number, parse_numbers
 
@@ -156,7 +157,7 @@ class Without:
     paths: tuple[str, ...]
 
 
-class OptionsRecord:
+class OptionsRecord(Brief):
     """Base of options records: values outside of what their options take raise InvalidInput, however they got there."""
 
     def __post_init__(self) -> None:

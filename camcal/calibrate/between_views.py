@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from camcal.arrays import Array
+from camcal.brief import Brief
 from camcal.calibrate.effects import columns_at
 from camcal.calibrate.estimator import Estimate
 from camcal.calibrate.problem import POSE, Derivatives
@@ -67,7 +68,7 @@ class Blur:
 
 
 @dataclass(frozen=True)
-class BetweenViews:
+class BetweenViews(Brief):
     """The clearest of each kind of change, which may well be chance: the verdict decides.
 
     images: of all views, in their order. step, drift, outlying, unordered: of the focal length, from

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from camcal.arrays import Array, FloatArray, readonly
+from camcal.brief import Brief
 from camcal.calibrate.between_views import BetweenViews, between_views
 from camcal.calibrate.estimator import Estimate
 from camcal.calibrate.evidence import WithinViews
@@ -64,7 +65,7 @@ class Options:
 
 
 @dataclass(frozen=True, eq=False)
-class Calibration:
+class Calibration(Brief):
     """A camera with its covariance, the board's shape, and the record of every view and rejected corner.
 
     sigma_px: standard deviation of one pixel coordinate, estimated with these degrees_of_freedom (parameters deducted).
@@ -105,7 +106,7 @@ class Calibration:
 
 
 @dataclass(frozen=True, eq=False)
-class CandidateModel:
+class CandidateModel(Brief):
     """A lens model and how well it predicts: scores (V,) log likelihoods of the views; sigma_px: the scale of the
     errors of a coordinate, 0.85 standard deviations of Gaussian ones.
 

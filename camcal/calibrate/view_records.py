@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from camcal.arrays import Array, FloatArray, readonly
+from camcal.brief import Brief
 from camcal.calibrate.fit import CalibrationFit
 from camcal.calibrate.noise import median_limit
 from camcal.geometry.pose import Pose
@@ -15,7 +16,7 @@ _NAMED = 5  # images in a sentence
 
 
 @dataclass(frozen=True, eq=False)
-class View:
+class View(Brief):
     """What became of one image. reason: why it is not used, None if it is; rejected: whether that is because it
     does not fit the others. symmetry: the symmetry of the board (see Board.symmetries) by which its ids were exchanged.
     rms_px is over the kept corners, per point. sha256: of the file, where it was read, or of a frame's gray

@@ -10,6 +10,7 @@ from typing import ClassVar
 import numpy as np
 
 from camcal.arrays import Array
+from camcal.brief import Brief
 from camcal.cameras.distortion import Distorted
 from camcal.cameras.model import OPENCV, Parameter
 from camcal.cameras.plane_model import CORE, Flat, PlaneModel, Slopes, Values
@@ -34,7 +35,7 @@ COEFFICIENTS = (
 
 
 @dataclass(frozen=True)
-class Brown(PlaneModel):
+class Brown(Brief, PlaneModel):
     """A perspective camera: the plane is Z = 1, points in front have Z > 0."""
 
     prior_reach: ClassVar[float] = 1.0

@@ -12,6 +12,7 @@ from typing import ClassVar
 import numpy as np
 
 from camcal.arrays import Array
+from camcal.brief import Brief
 from camcal.cameras.distortion import Distorted
 from camcal.cameras.model import FISHEYE, Parameter
 from camcal.cameras.plane_model import Flat, PlaneModel, Slopes, Values
@@ -32,7 +33,7 @@ TANGENTIAL = (
 
 
 @dataclass(frozen=True)
-class KannalaBrandt(PlaneModel):
+class KannalaBrandt(Brief, PlaneModel):
     """The plane is equidistant: a point stands θ from its centre, θ = atan2(√(X² + Y²), Z).
 
     Distorted, that is θ (1 + k1 θ² + k2 θ⁴ + …), and the tangential terms are those of the point moved so.

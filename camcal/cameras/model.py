@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from camcal.arrays import Array, BoolArray, FloatArray, IntArray, readonly, require_shape
+from camcal.brief import Brief
 from camcal.errors import InvalidInput
 from camcal.geometry.pose import Pose
 
@@ -18,7 +19,7 @@ OPENCV, FISHEYE = "cv2", "cv2.fisheye"
 
 
 @dataclass(frozen=True, eq=False)
-class Projection:
+class Projection(Brief):
     """Pixels (N, 2), NaN where not valid, and the mask (N,) of points inside the model's domain."""
 
     pixels: FloatArray
@@ -50,7 +51,7 @@ class ProjectionJacobians:
 
 
 @dataclass(frozen=True, eq=False)
-class Rays:
+class Rays(Brief):
     """Unit directions (N, 3) in the camera frame, NaN where not valid, and the mask (N,)."""
 
     directions: FloatArray
@@ -120,7 +121,7 @@ class CameraModel(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Camera:
+class Camera(Brief):
     """A model with its parameters (K,), an image size (width, height) and, if known, the (K, K) covariance.
 
     fixed: names of parameters that were held in the solve; their rows of the covariance are zero.
@@ -146,7 +147,7 @@ class Camera:
         values = ", ".join(
             f"{name}={value:.7g}" for name, value in zip(self.model.parameter_names, self.parameters, strict=True)
         )
-        return f"Camera({self.model.name}, {self.image_size[0]}x{self.image_size[1]}, {values})"
+        return f"Camera({self.model.name}, {self.image_size[0]}x{self.image_size[1]} px, {values})"
 
     @classmethod
     def from_opencv(
@@ -192,6 +193,10 @@ class Camera:
     def project(self, points: ArrayLike) -> Projection:
         """Return the pixels of points (N, 3) in the camera frame."""
         return self.model.project(self.parameters, require_shape(points, (None, 3), "points"))
+
+    def project_with_jacobians(self, points: ArrayLike) -> ProjectionJacobians:
+        """Return the pixels of points (N, 3) in the camera frame, with their derivatives by points and parameters."""
+        return self.model.project_with_jacobians(self.parameters, require_shape(points, (None, 3), "points"))
 
     def unproject(self, pixels: ArrayLike) -> Rays:
         """Return the unit rays of pixels (N, 2)."""
@@ -243,7 +248,7 @@ def staged(stages: dict[str, int]) -> tuple[tuple[str, ...], ...]:
 
 
 @dataclass(frozen=True, eq=False)
-class Rig:
+class Rig(Brief):
     """Cameras by name and where each stands: rig_T_camera takes points of a camera's frame to the rig's, metres.
 
     covariance: (N, N) of, camera by camera, its parameters and the step of camera_T_rig (order tx ty tz rx ry rz, m and

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from camcal.arrays import Array, FloatArray
+from camcal.brief import Brief
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Trajectory
@@ -87,7 +88,7 @@ def _require_motion(delta: float, unit: str) -> None:
 
 
 @dataclass(frozen=True)
-class ErrorOptions:
+class ErrorOptions(Brief):
     """How to compare: alignment of ALIGNMENTS; motions over `delta` in a unit of UNITS.
 
     all_pairs: motions begin at every pose, not where the one before ended. max_difference: of stamps that belong

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from camcal.arrays import FloatArray, readonly
+from camcal.brief import Brief
 from camcal.cameras.model import Camera, Rig
 from camcal.cameras.validity import ImageCircle, valid_block
 from camcal.errors import InvalidInput
@@ -74,7 +75,7 @@ class CalibrationNoise:
 
 
 @dataclass(frozen=True)
-class CalibrationVerdict:
+class CalibrationVerdict(Brief):
     """Whether a calibration may be trusted, why not, and in which part of the image, None where that is not known."""
 
     trustworthy: bool
@@ -88,7 +89,7 @@ def verdict_of_view(verdict: CalibrationVerdict | None) -> CalibrationVerdict | 
 
 
 @dataclass(frozen=True, eq=False)
-class CameraEntry:
+class CameraEntry(Brief):
     """A camera and what is known of it.
 
     quality: figures such as rms_px, images_used. sensor: pixel_pitch_um, gain_e_per_dn, read_noise_e, full_well_e.
@@ -138,7 +139,7 @@ class JointCovariance:
 
 
 @dataclass(frozen=True, eq=False)
-class CameraFile:
+class CameraFile(Brief):
     """A camera file. transforms: by their names a_T_b. provenance, converted_from: plain data, never interpreted.
 
     warnings: what is implausible in the file, or untrustworthy; they are not written.

@@ -8,6 +8,7 @@ from typing import Generic, TypeVar
 import numpy as np
 
 from camcal.arrays import Array, FloatArray, IntArray, readonly
+from camcal.brief import Brief
 from camcal.errors import InvalidInput
 from camcal.geometry import rotation as so3
 
@@ -17,7 +18,7 @@ Key = TypeVar("Key")
 
 
 @dataclass(frozen=True, eq=False)
-class Pose:
+class Pose(Brief):
     """A rotation (3, 3) and a translation (3,): p_a = rotation @ p_b + translation."""
 
     rotation: FloatArray
@@ -39,6 +40,19 @@ class Pose:
     def from_vector(cls, rotation_vector: Array, translation: Array) -> "Pose":
         """Return the pose of a rotation vector (3,) in radians and a translation (3,)."""
         return cls(so3.exp(np.asarray(rotation_vector, dtype=float)), translation)
+
+    @classmethod
+    def from_matrix(cls, matrix: Array) -> "Pose":
+        """Return the pose of a homogeneous matrix (4, 4), or (3, 4)."""
+        matrix = np.asarray(matrix, dtype=float)
+        if matrix.shape not in ((4, 4), (3, 4)) or (matrix[3:] != [0, 0, 0, 1]).any():
+            raise InvalidInput(f"not a homogeneous matrix (4, 4) with the last row 0 0 0 1: shape {matrix.shape}")
+        return cls(matrix[:3, :3], matrix[:3, 3])
+
+    def __repr__(self) -> str:
+        """Return the translation and the rotation vector."""
+        shift, turn = (", ".join(f"{value:.6g}" for value in own) for own in (self.translation, self.vector()))
+        return f"Pose(translation=({shift}) m, rotation_vector=({turn}) rad)"
 
     def __matmul__(self, other: "Pose") -> "Pose":
         """Return a_T_c from a_T_b @ b_T_c."""
@@ -107,7 +121,7 @@ def compose_jacobians(a_T_b: Pose, b_T_c: Pose) -> tuple[Array, Array]:
 
 
 @dataclass(frozen=True, eq=False)
-class Trajectory:
+class Trajectory(Brief):
     """Poses a_T_b at increasing times; `frames` is their name, such as object_T_camera.
 
     stamps: (N,) s. rotations: (N, 3, 3). translations: (N, 3), m. covariances: (N, 6, 6) of the poses' steps, order
@@ -162,7 +176,7 @@ class Trajectory:
 
 
 @dataclass(frozen=True, eq=False)
-class NamedTransform:
+class NamedTransform(Brief):
     """target_T_source: takes coordinates in `source` to coordinates in `target`; both empty where they have no names.
 
     covariance: (6, 6) of the pose's step, order tx ty tz rx ry rz, m and rad; None: not known. where: it stands.

@@ -14,6 +14,7 @@ from scipy.stats import chi2, norm
 from scipy.stats import t as student
 
 from camcal.arrays import Array, FloatArray
+from camcal.brief import Brief
 from camcal.calibrate.intrinsics import Calibration, CandidateModel
 from camcal.calibrate.view_records import names_of
 from camcal.cameras.validity import ImageCircle, folds_inside
@@ -50,7 +51,7 @@ _RINGS = 8
 
 
 @dataclass(frozen=True, eq=False)
-class Assessment:
+class Assessment(Brief):
     """failures: why a calibration must not be trusted (none: it may be, within the region). warnings: what is weak.
 
     uncertainty: of projections, what the residuals say against the lens model included.

@@ -7,8 +7,10 @@ what the camera measures. The rotation that best undoes a change of the paramete
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from camcal.arrays import Array, BoolArray, FloatArray, readonly
+from camcal.arrays import Array, BoolArray, FloatArray, readonly, require_shape
+from camcal.brief import Brief
 from camcal.cameras.directions import direction_displacements, in_hull
 from camcal.cameras.model import Camera
 from camcal.cameras.validity import ImageCircle, border_pixels
@@ -20,7 +22,7 @@ _STEPS = 200  # of the way from the middle of a region to the border of the imag
 
 
 @dataclass(frozen=True, eq=False)
-class ProjectionUncertainty:
+class ProjectionUncertainty(Brief):
     """The uncertainty of the projection of directions (points at infinity), at the pixels of a grid over the image.
 
     u, v: coordinates of the columns and rows of the grid, from the centre of the first pixel to that of the last.
@@ -74,7 +76,7 @@ class ProjectionUncertainty:
 
 
 @dataclass(frozen=True, eq=False)
-class KnownRegion:
+class KnownRegion(Brief):
     """The part of an image in which projections are known: their standard deviation is below limit_px in any direction.
 
     share: of the image, or of its image circle; of_observed: of the part where corners were seen, 1 where that is not
@@ -173,17 +175,35 @@ def projection_uncertainty(
     Raises InvalidInput where the covariance is not known.
     """
     covariance = camera.covariance if covariance is None else covariance
-    if covariance is None:
-        raise InvalidInput("the projection uncertainty needs the covariance of the camera, which is not known")
     width, height = camera.image_size
     u, v = np.linspace(0, width - 1, grid[0]), np.linspace(0, height - 1, grid[1])
     pixels = grid_pixels(u, v)
     inside = None if observed is None else in_hull(pixels, observed)
-    displacements = direction_displacements(camera, pixels, inside)
+    found = _covariances(camera, covariance, pixels, inside)
     if circle is not None:
-        displacements = np.where(circle.contains(pixels)[:, None, None], displacements, np.nan)
-    moved = displacements @ _root(covariance)
-    return ProjectionUncertainty(u, v, moved @ moved.transpose(0, 2, 1), inside)
+        found = np.where(circle.contains(pixels)[:, None, None], found, np.nan)
+    return ProjectionUncertainty(u, v, found, inside)
+
+
+def projection_covariances(camera: Camera, pixels: ArrayLike, observed: Array | None = None) -> FloatArray:
+    """Return the covariances (N, 2, 2), px², of the projections of far points that are seen at pixels (N, 2).
+
+    observed: as of `projection_uncertainty`; the rotation is that over the image, not over `pixels`. NaN where the lens
+    is not valid. Raises InvalidInput where the covariance of the camera is not known.
+    """
+    pixels = require_shape(pixels, (None, 2), "pixels")
+    width, height = camera.image_size
+    image = grid_pixels(np.linspace(0, width - 1, GRID[0]), np.linspace(0, height - 1, GRID[1]))
+    fitted = np.ones(len(image), bool) if observed is None else in_hull(image, observed)
+    fitted = np.append(fitted, np.zeros(len(pixels), bool))
+    return _covariances(camera, camera.covariance, np.concatenate([image, pixels]), fitted)[len(image) :]
+
+
+def _covariances(camera: Camera, covariance: Array | None, pixels: Array, fitted: Array | None) -> FloatArray:
+    if covariance is None:
+        raise InvalidInput("the projection uncertainty needs the covariance of the camera, which is not known")
+    moved = direction_displacements(camera, pixels, fitted) @ _root(covariance)
+    return np.asarray(moved @ moved.transpose(0, 2, 1))
 
 
 def _root(covariance: Array) -> Array:

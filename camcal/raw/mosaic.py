@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from camcal.arrays import Array, FloatArray, PixelArray, readonly
+from camcal.brief import Brief
 from camcal.errors import InvalidInput
 from camcal.raw.options import MONO, PATTERNS
 
@@ -30,7 +31,7 @@ class Capture:
 
 
 @dataclass(frozen=True, eq=False)
-class Mosaic:
+class Mosaic(Brief):
     """A raw frame (H, W), uint8, uint16 or float32 counts, behind a colour filter.
 
     black: (2, 2) counts without light, laid out like the first cell of the pattern; (6, 6) for X-Trans.

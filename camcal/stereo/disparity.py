@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camcal.arrays import Float32Array, readonly
+from camcal.brief import Brief
 
 
 class Confidence(IntEnum):
@@ -21,7 +22,7 @@ class Confidence(IntEnum):
 
 
 @dataclass(frozen=True, eq=False)
-class Disparity:
+class Disparity(Brief):
     """Disparity of the left image, column in the left minus column in the right image.
 
     values: (H, W) float32 pixels, NaN where there is none. sigma: (H, W) float32 pixels, half the width of what holds

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from camcal.arrays import Array, Float32Array, FloatArray
+from camcal.brief import Brief
 from camcal.cameras.model import Camera
 from camcal.errors import InvalidInput
 from camcal.geometry import rotation as so3
@@ -24,7 +25,7 @@ _PIXELS = 1e-2
 
 
 @dataclass(frozen=True)
-class StereoGeometry:
+class StereoGeometry(Brief):
     """What turns disparity into distance: the left camera of a rectified pair and its distance to the right one.
 
     fx, fy, cx, cy: pixels, of angles pixels per radian. baseline: metres, positive. doffs: principal point of the right

@@ -11,6 +11,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from camcal.arrays import Array, FloatArray, IntArray
+from camcal.brief import Brief
 from camcal.errors import InvalidInput
 from camcal.targets.board_types import (
     APRILGRID,
@@ -43,7 +44,7 @@ LARGEST = 1000  # a side
 
 
 @dataclass(frozen=True)
-class Board:
+class Board(Brief):
     """A planar target, as drawn.
 
     type: one of BOARD_TYPES. columns, rows: the grid of inner corners (a ChArUco board of 9 × 7 squares has 8 × 6), of

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from camcal.arrays import Array, FloatArray, IntArray, readonly
+from camcal.brief import Brief
 from camcal.cameras.validity import ImageCircle
 from camcal.messages import counted
 from camcal.targets.board import Board
@@ -20,7 +21,7 @@ MIN_CORNERS = 4  # as many as a homography needs
 
 
 @dataclass(frozen=True, eq=False)
-class BoardDetection:
+class BoardDetection(Brief):
     """Points ids (N,) at pixels (N, 2) with their covariance (N, 2, 2) px² where it is known, or none and the reason.
 
     image: the name of the file, or of a frame of a video. size: (width, height). camera, body: the names of the one
@@ -96,7 +97,7 @@ class BoardDetection:
 
 
 @dataclass(frozen=True)
-class Detections:
+class Detections(Brief):
     """What was found in a set of images, in their order, and the board that was searched for (None: unknown).
 
     circles: the image circles of cameras by their names, as far as they were measured.

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from camcal.arrays import Array, FloatArray, readonly
+from camcal.brief import Brief
 from camcal.targets.board import Board
 
 
@@ -59,7 +60,7 @@ _DEGREES: dict[str, tuple[int, int]] = {
 
 
 @dataclass(frozen=True, eq=False)
-class Surface:
+class Surface(Brief):
     """The estimated shape of a board: coefficients (S,) of named terms and offsets (C, 3) of single points.
 
     Coefficients and offsets are in the board's unit, those of RATIOS have none.

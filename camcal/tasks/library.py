@@ -13,6 +13,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from camcal.arrays import Array, FloatArray, PixelArray, require_shape
+from camcal.brief import Brief
 from camcal.calibrate.rigs.captures import Captures
 from camcal.cameras.model import Camera
 from camcal.errors import InvalidInput
@@ -148,7 +149,7 @@ def write_camera_file(path: File, camera: Camera | CameraFile, kind: str = camer
 
 
 @dataclass(frozen=True, eq=False)
-class Undistorted:
+class Undistorted(Brief):
     """An undistorted image: pixels (H, W) or (H, W, 3), and the camera that would have taken it."""
 
     pixels: PixelArray
@@ -174,7 +175,7 @@ def undistort_image(
 
 
 @dataclass(frozen=True, eq=False)
-class RectifiedImages:
+class RectifiedImages(Brief):
     """A rectified pair: images of the left (or upper) and of the right camera, and how they were made.
 
     maps: for more images of the same two cameras, `maps.apply(left, right)`.
@@ -211,7 +212,7 @@ def rectify_pair(
 
 
 @dataclass(frozen=True, eq=False)
-class PointCloud:
+class PointCloud(Brief):
     """Points (N, 3) in the frame of the rectified left camera, metres, and their colours (N, 3) RGB uint8, if known."""
 
     points: FloatArray

@@ -3,12 +3,13 @@
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
+from camcal.brief import Brief
 from camcal.errors import InvalidInput
 from camcal.targets.detection import BoardDetection
 
 
 @dataclass(frozen=True, eq=False)
-class Captures:
+class Captures(Brief):
     """cameras: (N,) names. names: (G,) of the captures. views[g][c]: what camera c saw in capture g, None without an
     image of it. Raises InvalidInput for names that occur twice and for rows of another length.
     """

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from camcal.arrays import FloatArray
+from camcal.brief import Brief
 from camcal.calibrate.fit import ShapeOptions
 from camcal.calibrate.intrinsics import Calibration
 from camcal.cameras.model import Camera, CameraModel
@@ -47,7 +48,7 @@ class ExposureMotion:
 
 
 @dataclass(frozen=True, eq=False)
-class RigCalibration:
+class RigCalibration(Brief):
     """The cameras of a rig and where they are.
 
     calibrations: by the names of cameras, in their order; lens, views, residuals of each. poses: camera_T_first of the

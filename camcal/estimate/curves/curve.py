@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from camcal.arrays import Array, BoolArray, FloatArray
+from camcal.brief import Brief
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.estimate.curves.expressions import Expression, parse
 
@@ -15,7 +16,7 @@ IGNORED = 0.5  # a row whose loss leaves it less than this weight counts as an o
 
 
 @dataclass(frozen=True)
-class Curve:
+class Curve(Brief):
     """Formulas over columns and parameters.
 
     explicit: the one formula predicts a measured column. Otherwise the formulas are components of the distance between
@@ -52,7 +53,7 @@ class Curve:
 
 
 @dataclass(frozen=True, eq=False)
-class Data:
+class Data(Brief):
     """What a curve is fitted to: columns (N,) by the names its formulas use.
 
     target: (N,) what an explicit curve predicts, None for a shape. sigma: (N,) standard deviations, None if unknown.

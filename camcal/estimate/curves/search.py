@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from camcal.arrays import Array
+from camcal.brief import Brief
 from camcal.errors import InvalidInput
 from camcal.estimate.curves.curve import Curve, Data, predictions, predictions_with_jacobian, require_enough
 from camcal.solve.dense import DenseEquations, DenseMethod, linearise_dense, minimise_dense
@@ -132,7 +133,7 @@ def covariance_factor(loss: Loss, squared: Array, components: int, parameters: i
 
 
 @dataclass(frozen=True)
-class SearchOptions:
+class SearchOptions(Brief):
     """How to fit: bounds and fixed parameters by name, the loss, further starts, the method."""
 
     bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)

@@ -6,6 +6,7 @@ from typing import Literal
 import numpy as np
 
 from camcal.arrays import Array, BoolArray, FloatArray, IntArray, readonly
+from camcal.brief import Brief
 from camcal.errors import InvalidInput
 from camcal.geometry.pose import Pose, carried, inverse_jacobian
 
@@ -18,7 +19,7 @@ _PARTS = slice(0, 3), slice(3, 6)
 
 
 @dataclass(frozen=True, eq=False)
-class Correspondences:
+class Correspondences(Brief):
     """Points (N, 3) of an object and the pixels (N, 2) at which one image shows them.
 
     covariance: (N, 2, 2) px² of the pixels, None for equal ones, of 1 px². camera: its name in a rig.
@@ -65,7 +66,7 @@ class Correspondences:
 
 
 @dataclass(frozen=True, eq=False)
-class PosePrior:
+class PosePrior(Brief):
     """What is known of the pose beforehand: a pose and the covariance (6, 6) of its steps, order tx ty tz rx ry rz."""
 
     pose: Pose
@@ -78,7 +79,7 @@ class PosePrior:
 
 
 @dataclass(frozen=True)
-class PoseOptions:
+class PoseOptions(Brief):
     """How poses are estimated.
 
     noise_px: standard deviation of every pixel coordinate, in place of the covariances that pixels come with.
@@ -158,7 +159,7 @@ class Alternative:
 
 
 @dataclass(frozen=True, eq=False)
-class PoseEstimate:
+class PoseEstimate(Brief):
     """The pose of one view and what is known of its quality.
 
     frames: what `transform` maps, camera_T_object, rig_T_object or their inverses. covariance: (6, 6) of its steps,

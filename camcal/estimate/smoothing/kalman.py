@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from camcal.arrays import Array, FloatArray, readonly
+from camcal.brief import Brief
 from camcal.errors import InvalidInput
 from camcal.messages import Message
 
@@ -30,7 +31,7 @@ _NOT_JUDGED = Message("consistency_unknown", "consistency unknown: no measuremen
 
 
 @dataclass(frozen=True, eq=False)
-class Gaussian:
+class Gaussian(Brief):
     """A mean (n,) and a covariance (n, n), in the units of the state."""
 
     mean: FloatArray
@@ -247,7 +248,7 @@ def _warning(verdict: str, lasting: bool, alternating: bool, many_large: bool) -
 
 
 @dataclass(frozen=True)
-class ExtendedModel:
+class ExtendedModel(Brief):
     """A motion and a measurement of a state (n,), dt in seconds.
 
     f(x, dt): the next state (n,). F(x, dt): its Jacobian (n, n). Q(x, dt): process noise (n, n). h(x): the expected

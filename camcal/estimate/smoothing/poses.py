@@ -16,6 +16,7 @@ from math import factorial
 import numpy as np
 
 from camcal.arrays import Array
+from camcal.brief import Brief
 from camcal.errors import InsufficientData, NotConverged
 from camcal.estimate.smoothing.batch import (
     MeasurementFit,
@@ -165,7 +166,7 @@ def _interpolated(poses: Trajectory, stamps: Array, before: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class PosesOptions:
+class PosesOptions(Brief):
     """How to smooth poses.
 
     q: strengths of the process noise of translation and rotation, None: the most likely. sigma: standard deviations of

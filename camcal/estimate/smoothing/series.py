@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from camcal.arrays import Array, FloatArray, readonly
+from camcal.brief import Brief
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.estimate.smoothing.batch import MeasurementFit, require_size, smooth_system
 from camcal.estimate.smoothing.linear_system import LinearSystem, MotionModel, kalman_filter, rts
@@ -19,7 +20,7 @@ from camcal.estimate.smoothing.tuning import (
 
 
 @dataclass(frozen=True, eq=False)
-class Series:
+class Series(Brief):
     """Numbers measured at increasing stamps.
 
     names: of the d axes. stamps: (K,) s. values: (K, d), NaN where missing. sigma: (K, d) standard deviations of the
@@ -44,7 +45,7 @@ class Series:
 
 
 @dataclass(frozen=True)
-class SeriesOptions:
+class SeriesOptions(Brief):
     """How to smooth: by which motion, with which noise.
 
     q: strength of the process noise (`MotionModel`), None: the most likely. method: of METHODS, both give the same

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from camcal.arrays import Array, BoolArray, FloatArray, IntArray, readonly
+from camcal.brief import Brief
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.estimate.smoothing.kalman import Consistency, consistency, successive
 from camcal.estimate.tracking.jitter import Jitter, JitterStd, jitter
@@ -20,7 +21,7 @@ _OTHER_POSE_LIKELY = 0.01  # probability of another pose that is told
 
 
 @dataclass(frozen=True)
-class TrackOptions:
+class TrackOptions(Brief):
     """How poses are followed.
 
     noise: None to find it out. lag: frames of look-ahead, 0 for none, None for all there are. fill: poses for the
@@ -41,7 +42,7 @@ DEFAULTS = TrackOptions()
 
 
 @dataclass(frozen=True, eq=False)
-class Track:
+class Track(Brief):
     """A pose over N frames; NaN where there is none.
 
     frames: what the poses map, such as camera_T_object. stamps: (N,) s. states: (N,) of STATES. segments: (N,) the

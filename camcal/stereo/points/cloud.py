@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 
 from camcal.arrays import Array, BoolArray
+from camcal.brief import Brief
 from camcal.errors import InvalidInput
 from camcal.raw.mosaic import full_scale
 from camcal.stereo.geometry import StereoGeometry
@@ -107,7 +108,7 @@ _BLOCK = 1 << 17  # pixels made into vertices at a time: few enough for the cach
 
 
 @dataclass(frozen=True, eq=False)
-class CloudMaker:
+class CloudMaker(Brief):
     """The points of an image whose pixels are `kept` (H, W) bool, as vertices in a frame.
 
     normals, sigma: whether vertices have them. organised: the vertices are all pixels of a grid of every `stride`-th

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camcal.arrays import Array, BoolArray, Float32Array, PixelArray
+from camcal.brief import Brief
 from camcal.errors import InvalidInput
 from camcal.stereo.geometry import StereoGeometry
 from camcal.stereo.points.calibration_error import CalibrationError
@@ -20,7 +21,7 @@ _FARTHEST = 1e38  # metres; hardly more fits into a float32
 
 
 @dataclass(frozen=True, eq=False)
-class StereoImage:
+class StereoImage(Brief):
     """The left image of a rectified pair and what is known of its pixels. The arrays are neither copied nor changed.
 
     disparity: (H, W) pixels, left minus right; NaN and infinite values mean no match, zero and less as well unless

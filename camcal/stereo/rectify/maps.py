@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from camcal.arrays import Array, BoolArray, Float32Array, PixelArray
+from camcal.brief import Brief
 from camcal.cameras.model import Camera
 from camcal.cameras.validity import ImageCircle
 from camcal.images.remap import Maps, build_maps
@@ -19,7 +20,7 @@ class ImagePair(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class PairMaps:
+class PairMaps(Brief):
     """Where every pixel of the rectified images of the left and of the right camera comes from."""
 
     left: Maps

@@ -18,6 +18,7 @@ from types import MappingProxyType
 import numpy as np
 
 from camcal.arrays import Array, FloatArray, readonly
+from camcal.brief import Brief
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera, Projection, Rays
 from camcal.errors import InvalidInput
@@ -51,7 +52,7 @@ class OpenCVRectification:
 
 
 @dataclass(frozen=True, eq=False)
-class Rectification:
+class Rectification(Brief):
     """How the images of two cameras are rectified.
 
     projection: pinhole, cylindrical or latlon. axis: "x", corresponding points are in one row, or "y", in one column.

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from camcal import messages
+from camcal.brief import Brief
 from camcal.calibrate import intrinsics
 from camcal.calibrate.channels import aberration, fit_colour
 from camcal.calibrate.fit import ShapeOptions
@@ -21,14 +22,15 @@ from camcal.formats.camera_file import (
     CameraEntry,
     CameraFile,
 )
-from camcal.messages import Message
+from camcal.messages import Message, counted
 from camcal.options import command_line
 from camcal.progress import SILENT, Progress, warn_of
 from camcal.quality.assess import Assessment
 from camcal.quality.lens_choice import rank_models
 from camcal.quality.projection_uncertainty import ProjectionUncertainty, too_uncertain
 from camcal.raw.detection_image import COLOURS
-from camcal.report.calibration import as_data, candidates_data, uncertainty_data
+from camcal.report.calibration import as_data, candidates_data, headline, uncertainty_data
+from camcal.report.uncertain import projection_words, region_words
 from camcal.run.journal import journal_beside
 from camcal.run.outputs import writes
 from camcal.run.paths import split_address
@@ -46,7 +48,7 @@ from camcal.tasks.figure_files import figure_data, write_figures
 
 
 @dataclass(frozen=True, eq=False)
-class CalibrateReport:
+class CalibrateReport(Brief):
     """The calibration, its assessment, the file that was written, what it is from, and failed inputs.
 
     warnings: of the detection and of the assessment. lines: other lines of the report. refinement: what the second pass
@@ -67,6 +69,16 @@ class CalibrateReport:
     frames: tuple[FrameRecord, ...] = ()
     candidates: tuple[CandidateModel, ...] = ()
     figures: tuple[Path, ...] = ()
+
+    def __repr__(self) -> str:
+        """Return the verdict, the lens and its uncertainty in a line."""
+        verdict = (
+            f"trustworthy{region_words(self.assessment.region)}"
+            if self.trustworthy
+            else f"DO NOT TRUST: {self.failures[0].text}"
+        )
+        lens = f"{headline(self.calibration)}; {projection_words(self.uncertainty.figures())}"
+        return f"<CalibrateReport: {verdict[:200]}; {lens}; {counted(len(self.calibration.used), 'view')}>"
 
     @property
     def camera(self) -> Camera:

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from camcal import messages
+from camcal.brief import Brief
 from camcal.calibrate.fit import ShapeOptions
 from camcal.calibrate.intrinsics import CandidateModel
 from camcal.calibrate.rigs.calibrate import calibrate_rig
@@ -44,7 +45,7 @@ from camcal.tasks.rigs.rig_views import RigViews, require_size, rig_views, with_
 
 
 @dataclass(frozen=True, eq=False)
-class CameraResult:
+class CameraResult(Brief):
     """What is said of one camera of a rig beside its calibration; circle: its image circle, where there is one."""
 
     assessment: Assessment
@@ -57,7 +58,7 @@ class CameraResult:
 
 
 @dataclass(frozen=True, eq=False)
-class RigReport:
+class RigReport(Brief):
     """The calibration of a rig, what is said of each of its cameras, the captures, and the file that was written.
 
     candidates: lens models that were compared, by the cameras of a kind. refinement: what the second pass of corner
