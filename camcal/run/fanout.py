@@ -46,20 +46,23 @@ def fan_out(
     warning.
     processes: use worker processes; `function` and the items must then be picklable, and a worker that is killed or
     crashes costs its item only (ItemsFailed) and is replaced.
-    timeout: seconds for one item; one that takes longer is stopped with its worker, which takes a process.
+    timeout: seconds for one item of several; one that takes longer is stopped with its worker, which takes a process.
     OpenCV and BLAS have one thread per worker, so that results do not depend on `jobs`.
     Raises InvalidInput if jobs is less than 1.
     """
     if jobs is not None and jobs < 1:
         raise InvalidInput(f"{jobs} jobs, need at least 1", where="jobs")
-    timeout = timeout if batch.timeout is None else batch.timeout
+    total = len(items) if isinstance(items, Sized) else None
+    if batch.timeout is not None:
+        timeout = batch.timeout
+    elif total == 1:  # nothing waits for it, and a process takes a hundred times as long to start as many an item
+        timeout = None
     if batch.scheduler is not None:
         from camcal.run import cluster
 
         sent = cluster.outcomes(function, items, replace(batch, timeout=timeout), jobs, progress)
-        return _reported(sent, what, len(items) if isinstance(items, Sized) else None, progress)
+        return _reported(sent, what, total, progress)
     processes = processes or timeout is not None
-    total = len(items) if isinstance(items, Sized) else None
     count = jobs or available_cores()
     if total is not None:
         count = min(count, max(total, 1))

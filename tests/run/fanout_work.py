@@ -17,6 +17,10 @@ def doubled(number: int) -> int:
     return 2 * number
 
 
+def own_pid(number: int) -> int:
+    return os.getpid()
+
+
 def refused(number: int) -> int:
     if number == 1:
         raise FileError("is empty", where="b.png")

@@ -159,8 +159,16 @@ def test_a_worker_that_hangs_is_stopped_and_costs_its_item_only():
 
 
 def test_a_timeout_holds_for_one_job_too():
-    [outcome] = fan_out(work.hanging, [1], jobs=1, processes=True, timeout=0.2)
-    assert "took longer than 0.2 s" in str(outcome.error)
+    outcomes = list(fan_out(work.hanging, [0, 1], jobs=1, processes=True, timeout=0.2))
+    assert "took longer than 0.2 s" in str(outcomes[1].error)
+
+
+def test_one_item_is_worked_on_in_this_process_unless_the_user_limits_its_time():
+    [alone] = fan_out(work.own_pid, [0], processes=True, timeout=60.0)
+    assert alone.value == os.getpid()
+    [limited] = fan_out(work.own_pid, [0], batch=BatchOptions(timeout=60.0))
+    assert limited.value != os.getpid()
+    assert os.getpid() not in {each.value for each in fan_out(work.own_pid, [0, 1], jobs=2, timeout=60.0)}
 
 
 def test_stopping_early_drops_what_threads_have_not_begun(tmp_path):
