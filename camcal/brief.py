@@ -4,8 +4,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, Field, fields, is_dataclass
 from typing import TYPE_CHECKING, Any, NoReturn
 
-import numpy as np
-
 _LONGEST, _LONGEST_VALUE, _FEW = 500, 80, 6
 
 # Names that people look for, and what does the same.
@@ -65,7 +63,7 @@ def _usual(record: Any, own: Field[Any]) -> bool:
 
 
 def _value(value: Any) -> str:
-    if isinstance(value, np.ndarray) and value.size > _FEW:
+    if hasattr(value, "dtype") and value.size > _FEW:  # an array: options have none, and do not wait for numpy
         return f"{value.dtype} {value.shape}"
     if isinstance(value, Mapping):
         text = "{" + ", ".join(map(str, value)) + "}"

@@ -123,9 +123,10 @@ class Option:
 
     help: sentences, or a function that makes them where that needs more than the options. names: the spellings, the
     long one first, as '--output -o' or '--landscape/--portrait'; by default that of the field. type: by default that
-    of the field. values: so many texts make one value. least, most: of the field's value. recorded: whether it belongs
-    to the command that a result records; what changes no number does not. required: it has to be given on a command
-    line, although the field has a default. written: of an option that names an output.
+    of the field. values: so many texts make one value. least, most: of the field's value. suggested: values, or
+    beginnings of them, that a shell completes where others are possible as well. recorded: whether it belongs to the
+    command that a result records; what changes no number does not. required: it has to be given on a command line,
+    although the field has a default. written: of an option that names an output.
     """
 
     help: str | Callable[[], str]
@@ -137,6 +138,7 @@ class Option:
     least: float | None = None
     most: float | None = None
     choices: tuple[str, ...] = ()
+    suggested: Callable[[], Sequence[str]] | None = None
     recorded: bool = True
     required: bool = False
     written: Written | None = None

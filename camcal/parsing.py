@@ -38,7 +38,8 @@ def is_number(text: str) -> bool:
 
 def nearest(name: str, known: Iterable[str], likeness: float = 0.6) -> str | None:
     """Return the known name that a misspelt one most likely stands for; likeness: how alike they must be, up to 1."""
-    return next(iter(get_close_matches(name, list(known), n=1, cutoff=likeness)), None)
+    lowered = {each.lower(): each for each in known}
+    return next((lowered[each] for each in get_close_matches(name.lower(), lowered, n=1, cutoff=likeness)), None)
 
 
 def did_you_mean(name: str, known: Iterable[str], otherwise: str | None = None) -> str:

@@ -242,11 +242,18 @@ def _parameter(each: Declared) -> inspect.Parameter:
     elif each.option.values > 1:
         kind = tuple.__class_getitem__((str,) * each.option.values)
     help_ = each.option.help if isinstance(each.option.help, str) else value_name(each)  # typer shows it in completions
+
+    def completed(incomplete: str) -> list[str]:
+        known = each.option.choices or (each.option.suggested() if each.option.suggested else ())
+        return [value for value in known if value.startswith(incomplete)]
+
     if each.positional:
-        info: Any = typer.Argument(metavar=each.option.metavar or None, help=help_)
+        info: Any = typer.Argument(metavar=each.option.metavar or None, help=help_, autocompletion=completed)
     else:
         names = [f"{each.name}/{each.opposite}" if each.opposite else each.name, *each.spellings[1:]]
-        info = typer.Option(*names, metavar=None if each.flag else value_name(each), help=help_)
+        info = typer.Option(
+            *names, metavar=None if each.flag else value_name(each), help=help_, autocompletion=completed
+        )
     default = inspect.Parameter.empty if each.required else None
     return inspect.Parameter(
         parameter_name(each), inspect.Parameter.KEYWORD_ONLY, default=default, annotation=Annotated[kind | None, info]

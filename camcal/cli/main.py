@@ -6,6 +6,7 @@ Nothing here imports the core, and a subcommand is imported when it is called: `
 import faulthandler
 import io
 import os
+import re
 import sys
 import warnings
 from collections.abc import Iterator, MutableMapping, Sequence
@@ -20,6 +21,7 @@ from camcal import __version__
 from camcal.cli import examples, show
 from camcal.errors import EXIT_BUG, EXIT_INTERRUPTED, EXIT_SIGNAL, FileError, InvalidInput, in_one_line, translated
 from camcal.images import limits
+from camcal.parsing import nearest
 from camcal.run.process import BLAS_THREADS, Stopped, stop_on_signals
 
 
@@ -74,6 +76,9 @@ COMMANDS = (
     Entry("run", "pipeline:run", "Run a pipeline of commands from one file."),
     Entry("doctor", "doctor:doctor", "Check the installation."),
 )
+
+
+_UNKNOWN_COMMAND, _LIKENESS = re.compile(r"No such command '([^']+)'"), 0.85  # of a command of a group
 
 
 class Commands(MutableMapping[str, Any]):
@@ -227,6 +232,10 @@ class Boundary(CommandGroup):
 def _usage_error(error: typer.TyperException, command: str) -> InvalidInput:
     """Return the one-line form of what typer says in several, naming the settings file if the value came from there."""
     words = " ".join(error.format_message().split()).rstrip(".")
+    if unknown := _UNKNOWN_COMMAND.match(words):
+        below = {each.name.rpartition(" ")[2]: each.name for each in COMMANDS if " " in each.name}
+        found = nearest(unknown[1].rpartition("-")[2], below, _LIKENESS)
+        words = f"{unknown[0]}. Did you mean {below[found]!r}?" if found else words
     from camcal.cli.command import settings_line
 
     line = settings_line(getattr(error, "ctx", None), getattr(getattr(error, "param", None), "name", None))

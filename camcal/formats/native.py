@@ -130,7 +130,7 @@ def check(data: Any, path: str = "") -> Iterator[Fault]:
 
 def _why_not_ours(data: Mapping[str, Any]) -> Fault | None:
     if "format" not in data:
-        return Fault("", f"not a camera file: 'format: {FORMAT}' is missing, and it is of no other format that is read")
+        return Fault("", f"not a camera file: 'format: {FORMAT}' is missing")
     if data["format"] != FORMAT:
         return Fault("format", f"{data['format']!r}; a camera file has {FORMAT}")
     version = data.get("version")

@@ -166,16 +166,37 @@ def fields_of(text: str) -> Fields:
     """Return the fields of the Board a short form stands for. Raises InvalidInput that names the part at fault."""
     kind, *parts = text.split(":")
     if kind not in FORMS:
-        if near := nearest(kind, FORMS, _LIKENESS):
-            raise InvalidInput(f"board {text!r}: did you mean {':'.join((near, *parts))!r}?")
+        near = nearest(kind, FORMS, _LIKENESS)
+        if meant := ":".join((near, *parts)) if near else _meant(text):
+            raise InvalidInput(f"board {text!r}: did you mean {meant!r}?")
         raise InvalidInput(f"board {text!r}: expected {'; '.join(FORMS.values())}; or a YAML file")
     if not parts:
         raise _unlike(text, "expected", kind)
     match = _SIZE.match(parts[0])
     if not match:
-        raise InvalidInput(f"board {text!r}: {parts[0]!r} is not a size; write 9x6")
+        meant = _meant(text)
+        hint = f"did you mean {meant!r}?" if meant else f"{parts[0]!r} is not a size; write 9x6"
+        raise InvalidInput(f"board {text!r}: {hint}")
     size = {"type": kind, "columns": int(match[1]), "rows": int(match[2])}
     return size | _READERS[kind](text, parts[1:])
+
+
+def _meant(text: str) -> str:
+    """Return the short form of a board whose parts are put together in another way, a chessboard if no type is among
+    them; "" if there is none.
+    """
+    words = [word for word in re.split(r"[\s,;:/]+", text) if word]
+    types = [near for word in words if (near := nearest(word, FORMS, _LIKENESS))] or [CHESSBOARD]
+    sizes = [word for word in words if _SIZE.match(word)]
+    others = [word for word in words if word not in sizes and not nearest(word, FORMS, _LIKENESS)]
+    form = ":".join([types[0], *sizes, *(others or ["25mm"] if types[0] == CHESSBOARD else others)])
+    if not sizes or form == text:
+        return ""
+    try:
+        fields_of(form)
+    except InvalidInput:
+        return ""
+    return form
 
 
 def _chessboard(text: str, parts: list[str]) -> Fields:

@@ -103,6 +103,13 @@ PictureFormat = Annotated[
 JpegQuality = Annotated[int, Option("JPEG quality.", metavar="1…100", group=OUTPUT, least=1, most=100)]
 
 
+def _board_kinds() -> list[str]:
+    """Return the beginnings of the short forms of boards."""
+    from camcal.targets.board_types import FORMS
+
+    return [f"{kind}:" for kind in FORMS]
+
+
 def _board_text(text: str) -> str:
     """Return the text that means a board; raises InvalidInput for a short form that is wrong."""
     from camcal.formats import boards
@@ -120,6 +127,7 @@ BOARD_OPTION = Option(
     group=BOARD,
     names="--board -b",
     type=ValueType(_board_text, str, "a board"),
+    suggested=_board_kinds,
 )
 BoardText = Annotated[str | None, BOARD_OPTION]
 ReportFile = Annotated[
@@ -293,6 +301,13 @@ def camera_formats() -> str:
     return f"Format of OUT where its suffix is that of several: {named}."
 
 
+def format_names() -> list[str]:
+    """Return the names of the camera formats."""
+    from camcal.formats.cameras import FORMATS
+
+    return list(FORMATS)
+
+
 @dataclass(frozen=True)
 class ConvertFileOptions(OptionsRecord):
     """A camera file of any format (FILE or FILE#NAME), where it goes, and the format it gets; None as suffixes say.
@@ -314,7 +329,7 @@ class ConvertFileOptions(OptionsRecord):
             written=Written(CAMERA_SUFFIXES, folder=True, stdout=True),
         ),
     ]
-    to: Annotated[str | None, Option(camera_formats, metavar="FORMAT", group=OUTPUT)] = None
+    to: Annotated[str | None, Option(camera_formats, metavar="FORMAT", group=OUTPUT, suggested=format_names)] = None
     second: Annotated[
         Path | None,
         Option(
@@ -394,3 +409,10 @@ def lens_models() -> str:
     from camcal.cameras.catalogue import help_line
 
     return help_line()
+
+
+def lens_model_names() -> list[str]:
+    """Return the names of the lens models that cameras are calibrated with."""
+    from camcal.cameras.catalogue import MODELS
+
+    return [name for name, model in MODELS.items() if not model.is_view]

@@ -427,6 +427,35 @@ def test_a_shell_is_told_how_to_complete_commands(shell, start_python):
     assert "calibrate" in process.communicate()[0]
 
 
+@pytest.mark.parametrize(
+    ("line", "offered"),
+    [
+        ("calibrate --model kan", ["kannala_brandt4", "kannala_brandt5t"]),
+        ("rig --model opencv1", ["opencv12", "opencv14"]),
+        ("calibrate --board ch", ["chessboard:", "charuco:"]),
+        ("convert a.yaml b.yaml --to k", ["kalibr"]),
+        ("smooth track.csv --model c", ["cv", "ca"]),
+    ],
+)
+def test_a_shell_completes_values(line, offered, start_python):
+    words = f"camcal {line}"
+    variables = {"_CAMCAL_COMPLETE": "complete_bash", "COMP_WORDS": words, "COMP_CWORD": str(len(words.split()) - 1)}
+    program = "from camcal.cli.main import main; main()"
+    process = start_python("-c", program, env=os.environ | variables, stdout=subprocess.PIPE)
+    assert process.communicate()[0].split() == offered
+
+
+@pytest.mark.parametrize(
+    ("name", "meant"),
+    [("rectify", "stereo rectify"), ("stereo-cloud", "stereo cloud"), ("average", "transform average"), ("xyz", "")],
+)
+def test_a_command_of_a_group_is_found_by_its_name_alone(run, name, meant):
+    code, _, err = run(name, "a.png", app=camcal_app)
+    assert code == 2
+    said = f". Did you mean {meant!r}?" if meant else ""
+    assert err.splitlines()[0] == f"camcal: error: No such command {name!r}{said}; see 'camcal --help'"
+
+
 def test_a_settings_file_that_was_written_says_all_and_changes_nothing(run, tmp_path):
     path = tmp_path / "work.yaml"
     code, out, _ = run("work", "--write-config", str(path), "--name", "a", "--name", "b: c", "--square-mm", "2.5")

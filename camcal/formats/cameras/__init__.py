@@ -51,7 +51,13 @@ def read(
         raise InvalidInput(f"--with {second}: the cameras of a {form.title} file are all in one", where=str(path))
     if len(sources) > 1 and _format_of(sources[1]) != form:
         raise InvalidInput(f"is not a {form.title} file as {path} is", where=str(second))
-    file = form.read(sources, given)
+    try:
+        file = form.read(sources, given)
+    except InvalidInput as error:
+        if form.sniff(sources[0].text):
+            raise
+        titles = ", ".join(each.title for each in FORMATS.values())
+        raise InvalidInput(f"{error.message}; formats that are read: {titles}", where=error.where) from error
     if form.name != OWN:
         doubts = (replace(warning, where=f"{path}: {warning.where}") for warning in implausible(file))
         origin = {"file": path.name, "format": form.name, "exact": True}

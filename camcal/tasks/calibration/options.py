@@ -34,6 +34,7 @@ from camcal.tasks.options import (
     Overwrite,
     Recursive,
     ReportFile,
+    lens_model_names,
     lens_models,
     output_option,
     result_option,
@@ -204,6 +205,7 @@ class CalibrateOptions(OptionsRecord):
             lambda: f"Lens model: {lens_models()}. Default: opencv5, unless another one predicts views clearly better.",
             metavar="MODEL",
             group=LENS,
+            suggested=lens_model_names,
         ),
     ] = None
     fix: Annotated[

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Annotated
 
 from camcal.options import INPUT, LENS, SIZE, Argument, Option, OptionsRecord
-from camcal.tasks.options import FOLDER, PAGE, BoardText, Overwrite, lens_models, output_option
+from camcal.tasks.options import FOLDER, PAGE, BoardText, Overwrite, lens_model_names, lens_models, output_option
 
 
 @dataclass(frozen=True)
@@ -24,6 +24,7 @@ class ReportOptions(OptionsRecord):
             lambda: f"Lens model for detections: {lens_models()}. By default as 'camcal calibrate'.",
             metavar="MODEL",
             group=LENS,
+            suggested=lens_model_names,
         ),
     ] = None
     image_size: Annotated[

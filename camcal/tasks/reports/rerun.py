@@ -32,6 +32,7 @@ from camcal.tasks.rigs.options import RigSettings
 from camcal.tasks.rigs.rig_views import RigViews
 
 REPORT_NAME = "report.html"
+_FILES = (".html", ".yaml", ".yml", ".json")
 
 
 @dataclass(frozen=True)
@@ -61,6 +62,9 @@ def rerun(options: RerunOptions, progress: Progress = SILENT) -> Rerun:
 
     Raises InvalidInput or FileError for what is no report, or a damaged one.
     """
+    if options.output.suffix.lower() in _FILES and not options.output.is_dir():
+        what = f"is the name of a file; -o is a folder, for {REPORT_NAME} and the camera file"
+        raise InvalidInput(what, where=str(options.output))
     data = page_data.read(options.file, PHOTO)
     name = CAMERA_NAME if data.run["command"] == CALIBRATE else RIG_NAME
     output = options.output / REPORT_NAME

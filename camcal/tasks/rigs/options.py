@@ -42,6 +42,7 @@ from camcal.tasks.options import (
     Overwrite,
     Recursive,
     ReportFile,
+    lens_model_names,
     lens_models,
     result_option,
 )
@@ -99,6 +100,7 @@ class RigSettings(OptionsRecord):
             metavar="MODEL|NAME=MODEL",
             group=LENS,
             names="--model",
+            suggested=lens_model_names,
         ),
     ] = ()
     lenses: Annotated[

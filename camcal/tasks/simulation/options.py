@@ -24,7 +24,16 @@ from camcal.options import (
 )
 from camcal.parsing import parse_number
 from camcal.simulate.options import USUAL_SENSOR, Sensor
-from camcal.tasks.options import BOARD_OPTION, FOLDER, CameraName, Jobs, Overwrite, lens_models, result_option
+from camcal.tasks.options import (
+    BOARD_OPTION,
+    FOLDER,
+    CameraName,
+    Jobs,
+    Overwrite,
+    lens_model_names,
+    lens_models,
+    result_option,
+)
 
 if TYPE_CHECKING:
     from camcal.simulate.mosaics import RawCamera
@@ -250,7 +259,12 @@ class SimulateOptions(OptionsRecord):
     name: CameraName = None
     model: Annotated[
         str | None,
-        Option(lambda: f"Lens model: {lens_models()}; by default opencv5.", metavar="MODEL", group=LENS),
+        Option(
+            lambda: f"Lens model: {lens_models()}; by default opencv5.",
+            metavar="MODEL",
+            group=LENS,
+            suggested=lens_model_names,
+        ),
     ] = None
     size: Annotated[
         tuple[int, int] | None,
