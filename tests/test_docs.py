@@ -251,6 +251,8 @@ def test_the_first_screen_has_two_commands_and_the_checks_of_a_change_run_both()
     assert is_within(steps(tests), script)
     assert not is_within(steps(demonstration.replace("install .", "install camcal")), script)
     assert len(text_of(README).partition("bin/pytest")[0].splitlines()) < 25  # they stand on the first screen
+    assert text_of(README).index("camcal calibrate photos/ --board") < text_of(README).index(demonstration)
+    assert len(text_of(README).splitlines()) <= 120
 
 
 @pytest.fixture(scope="module")
