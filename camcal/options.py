@@ -1,8 +1,7 @@
 """Options, declared once: how the fields of an options record are given on a command line, and what they mean.
 
 An options record is a frozen dataclass. A field annotated with an Option or an Argument is one of its command; a field
-that is an options record itself lends its own. Whatever reads or shows options asks `declared`: the command line,
-settings files, the command that a result records, the pages.
+that is an options record itself lends its own. Whatever reads or shows options asks `declared`.
 """
 
 import builtins
@@ -123,10 +122,9 @@ class Option:
 
     help: sentences, or a function that makes them where that needs more than the options. names: the spellings, the
     long one first, as '--output -o' or '--landscape/--portrait'; by default that of the field. type: by default that
-    of the field. values: so many texts make one value. least, most: of the field's value. suggested: values, or
-    beginnings of them, that a shell completes where others are possible as well. recorded: whether it belongs to the
-    command that a result records; what changes no number does not. required: it has to be given on a command line,
-    although the field has a default. written: of an option that names an output.
+    of the field. values: so many texts make one value. least, most: of the field's value. suggested: beginnings that a
+    shell completes. recorded: whether it belongs to the command that a result records; what changes no number does not.
+    required: on a command line, although the field has a default. written: of an option for an output.
     """
 
     help: str | Callable[[], str]

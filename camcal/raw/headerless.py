@@ -11,7 +11,7 @@ from camcal.arrays import Array
 from camcal.errors import FileError, InvalidInput
 from camcal.raw.mosaic import require_pattern
 from camcal.raw.options import MONO, PATTERNS
-from camcal.raw.pixel_formats import FAMILIES, PixelFormat, frame_bytes, require_byte_order, row_bytes, unpack
+from camcal.raw.pixel_formats import FAMILIES, FORMATS, PixelFormat, frame_bytes, require_byte_order, row_bytes, unpack
 
 # Of the sensors and the modes that cameras for measuring have, (width, height); the most common ones first.
 COMMON_SIZES = (
@@ -27,6 +27,9 @@ COMMON_SIZES = (
 )  # fmt: skip
 _ROW_UNITS = (16, 32, 64)  # bytes that drivers pad rows to
 _OFFERS = 6  # candidates in one message
+# Correlation of neighbouring samples of one colour, below which they are unlike, above which alike; of so many rows.
+_UNLIKE, _ALIKE, _ROWS = 0.3, 0.6, 200
+_LEAST, _GROUP, _BYTE = 32, 4, 8  # pixels of the smallest frame that shows it; of a packed group; bits
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,6 +100,7 @@ def read_headerless(path: Path, layout: Layout) -> tuple[Array, str]:
     if layout.align == "msb":
         words = unpack(content, layout.pixel_format, layout.size, stride=layout.stride, endian=layout.endian)
         _require_upper_bits(path, words, layout)
+    _require_likely_bits(path, content, values, layout)
     return values, layout.colours
 
 
@@ -148,6 +152,44 @@ def _require_upper_bits(path: Path, words: Array, layout: Layout) -> None:
             f"words go up to {largest}: {layout.pixel_format.name} in their lower bits; leave out --align msb",
             where=str(path),
         )
+
+
+def _require_likely_bits(path: Path, content: Array, values: Array, layout: Layout) -> None:
+    """Raise InvalidInput if pixels of one colour are unlike each other, and alike with another order of the bits."""
+    own, bits = layout.pixel_format, layout.pixel_format.bits
+    if _likeness(values) >= _UNLIKE:
+        return
+    other = {"little": "big", "big": "little"}[layout.endian]
+    readings = [
+        (each, layout.endian, f"--format {each.name}" + ("" if layout.stride is None else f" --stride {layout.stride}"))
+        for each in FORMATS
+        if each.bits == bits and (each.pattern, each.packing is None) == (own.pattern, own.packing is None)
+        if each is not own and frame_bytes(each, layout.size, layout.stride) == layout.frame_bytes
+    ]
+    if own.packing is None and bits > _BYTE:
+        readings.append((own, other, f"--endian {other}"))
+    for each, endian, words in readings:
+        found = unpack(content, each, layout.size, stride=layout.stride, endian=endian, align=layout.align)
+        if _likeness(found) > _ALIKE:
+            text = f"as {layout}, neighbouring pixels of one colour are unlike each other; {words} fits"
+            raise InvalidInput(text, where=str(path))
+
+
+def _likeness(values: Array) -> float:
+    """Return the correlation of samples with those two rows below, the least of the columns that are packed alike.
+
+    Of noise it is about 0, of pictures above 0.8. Of wrongly unpacked pixels some columns of a group are right.
+    """
+    rows = np.unique(np.linspace(0, max(len(values) - 3, 0), _ROWS).astype(int))
+    if len(values) < _LEAST or values.shape[1] < _LEAST:
+        return 1.0
+    above, below = (values[rows + step].astype(float) for step in (0, 2))
+    found = []
+    for start in range(_GROUP):
+        one, other = above[:, start::_GROUP], below[:, start::_GROUP]
+        variance = float(one.var() + other.var())
+        found.append(1 - float(np.mean((one - one.mean() - other + other.mean()) ** 2)) / variance if variance else 1.0)
+    return min(found)
 
 
 def length_of(path: Path) -> int:

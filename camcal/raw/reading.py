@@ -103,7 +103,10 @@ def read_camera_raw(path: Path, content: bytes | None = None) -> Mosaic:
         with rawpy.imread(BytesIO(content)) as raw:
             limits.require_pixels((raw.sizes.raw_width, raw.sizes.raw_height), path)
             if raw.raw_type != rawpy.RawType.Flat:
-                raise InvalidInput("has full colour in every pixel (linear DNG, sRAW or Foveon): no mosaic")
+                raise InvalidInput(
+                    "has full colour in every pixel (linear DNG, sRAW or Foveon), no mosaic: it is demosaiced already; "
+                    "export it from a raw converter as TIFF or PNG, which all other commands read"
+                )
             return _frame(raw, content)
     except rawpy.LibRawError as error:
         raise FileError(f"not a readable camera raw file ({_reason(error)})", where=str(path)) from error

@@ -26,6 +26,7 @@ from camcal.options import (
     separated,
 )
 from camcal.raw.options import MONO, NO_LAYOUT, PATTERNS, GivenLayout
+from camcal.tasks.suggestions import board_kinds, camera_formats, format_names
 
 CAMERA_SUFFIXES = (".yaml", ".yml", ".xml", ".json")  # of camera files, of all formats
 
@@ -103,13 +104,6 @@ PictureFormat = Annotated[
 JpegQuality = Annotated[int, Option("JPEG quality.", metavar="1…100", group=OUTPUT, least=1, most=100)]
 
 
-def _board_kinds() -> list[str]:
-    """Return the beginnings of the short forms of boards."""
-    from camcal.targets.board_types import FORMS
-
-    return [f"{kind}:" for kind in FORMS]
-
-
 def _board_text(text: str) -> str:
     """Return the text that means a board; raises InvalidInput for a short form that is wrong."""
     from camcal.formats import boards
@@ -127,7 +121,7 @@ BOARD_OPTION = Option(
     group=BOARD,
     names="--board -b",
     type=ValueType(_board_text, str, "a board"),
-    suggested=_board_kinds,
+    suggested=board_kinds,
 )
 BoardText = Annotated[str | None, BOARD_OPTION]
 ReportFile = Annotated[
@@ -293,21 +287,6 @@ class InspectOptions(OptionsRecord):
         return path, self.camera or name
 
 
-def camera_formats() -> str:
-    """Return the help of --to, which names the camera formats: only that imports them."""
-    from camcal.formats.cameras import FORMATS
-
-    named = ", ".join(f"{form.name} ({form.title})" for form in FORMATS.values())
-    return f"Format of OUT where its suffix is that of several: {named}."
-
-
-def format_names() -> list[str]:
-    """Return the names of the camera formats."""
-    from camcal.formats.cameras import FORMATS
-
-    return list(FORMATS)
-
-
 @dataclass(frozen=True)
 class ConvertFileOptions(OptionsRecord):
     """A camera file of any format (FILE or FILE#NAME), where it goes, and the format it gets; None as suffixes say.
@@ -402,17 +381,3 @@ class PlotOptions(OptionsRecord):
         ),
     ] = None
     overwrite: Overwrite = False
-
-
-def lens_models() -> str:
-    """Return the names of the lens models, for a help: only that imports them."""
-    from camcal.cameras.catalogue import help_line
-
-    return help_line()
-
-
-def lens_model_names() -> list[str]:
-    """Return the names of the lens models that cameras are calibrated with."""
-    from camcal.cameras.catalogue import MODELS
-
-    return [name for name, model in MODELS.items() if not model.is_view]

@@ -151,3 +151,10 @@ def test_a_file_that_is_cut_off_gets_one_line(run, dng, tmp_path):
     assert (code, out) == (3, "")
     assert "short.dng: truncated" in err
     assert len(err.splitlines()) == 1
+
+
+def test_a_camera_file_without_white_balance_is_said(run, tmp_path):
+    write_dng(tmp_path / "bare.dng", Mosaic(counts(), "RGGB", np.full((2, 2), 64.0), 4095.0))
+    write_dng(tmp_path / "mono.dng", Mosaic(counts(), "MONO", np.full((2, 2), 64.0), 4095.0))
+    assert "no white balance of the camera in the file: --wb gray-world" in run("inspect", tmp_path / "bare.dng")[1]
+    assert "white balance" not in run("inspect", tmp_path / "mono.dng")[1]

@@ -150,7 +150,7 @@ def test_full_colour_is_no_mosaic(tmp_path):
     struct.pack_into("<I", content, width + 8, 33)
     struct.pack_into("<H", content, samples + 8, 3)
     assert struct.unpack_from("<H", content, bits + 8) == (16,)
-    with pytest.raises(InvalidInput, match="full colour in every pixel"):
+    with pytest.raises(InvalidInput, match=r"full colour in every pixel.*: it is demosaiced already; export it"):
         read_camera_raw(written(tmp_path / "linear.dng", content))
 
 

@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from camcal.errors import FileError, InvalidInput
+from camcal.raw import headerless
 from camcal.raw.headerless import (
     COMMON_SIZES,
     Layout,
@@ -205,3 +206,57 @@ def test_samples_in_the_lower_bits_are_not_taken_for_those_in_the_upper_ones(tmp
     filled = FRAMES[0] << 4 | FRAMES[0] >> 8  # some cameras fill the low bits
     path.write_bytes(filled.astype("<u2").tobytes())
     np.testing.assert_array_equal(read_headerless(path, layout("Mono12", align="msb"))[0], FRAMES[0])
+
+
+PACKED_12 = ["BayerRG12p", "BayerRG12Packed", "BayerRG12pmsb", "pRCC"]
+
+
+def scene(bits=12, noise=8.0):
+    """A frame of a smooth scene of some contrast, as a sensor counts it."""
+    y, x = np.mgrid[:96, :160] / 40
+    light = 0.45 + 0.35 * np.sin(3 * x + y) * np.cos(2 * y)
+    counts = (2**bits - 1) * light + np.random.default_rng(4).normal(0, noise, light.shape)
+    return np.clip(counts, 0, 2**bits - 1).astype(np.uint16)
+
+
+@pytest.mark.parametrize("written_as", PACKED_12)
+@pytest.mark.parametrize("noise", [0.0, 8.0, 300.0])
+def test_a_frame_that_is_read_as_it_was_packed_is_accepted_whatever_its_noise(tmp_path, written_as, noise):
+    for values in (scene(noise=noise), np.full((96, 160), 64, np.uint16), scene(noise=noise) // 40):
+        path = written(tmp_path, pack(values, pixel_format_named(written_as)))
+        np.testing.assert_array_equal(read_headerless(path, layout(written_as, (160, 96)))[0], values)
+
+
+@pytest.mark.parametrize(
+    ("written_as", "read_as"),
+    [
+        ("BayerRG12Packed", "BayerRG12p"),
+        ("BayerRG12p", "BayerRG12Packed"),
+        ("BayerRG12p", "pRCC"),
+        ("pRCC", "BayerRG12p"),
+    ],
+)
+def test_a_frame_of_another_packing_is_refused_with_the_one_that_fits(tmp_path, written_as, read_as):
+    path = written(tmp_path, pack(scene(), pixel_format_named(written_as)))
+    name = pixel_format_named(written_as).name
+    with pytest.raises(InvalidInput, match=rf"pixels of one colour are unlike each other; --format {name} fits"):
+        read_headerless(path, layout(read_as, (160, 96)))
+
+
+def test_samples_of_sixteen_bits_in_the_other_byte_order_are_refused(tmp_path):
+    path = written(tmp_path, pack(scene(16, noise=30.0), pixel_format_named("BayerRG16"), endian="big"))
+    with pytest.raises(InvalidInput, match="unlike each other; --endian big fits"):
+        read_headerless(path, layout("BayerRG16", (160, 96)))
+    assert read_headerless(path, layout("BayerRG16", (160, 96), endian="big"))[0].max() > 40_000
+
+
+@pytest.mark.parametrize(("likeness", "refused"), [(0.6, False), (0.15, True)])
+def test_pixels_are_unlike_each_other_below_a_correlation_of_0_3(tmp_path, likeness, refused, monkeypatch):
+    path = written(tmp_path, pack(scene(), pixel_format_named("BayerRG12Packed")))
+    found = iter([likeness, 0.0, 1.0, 1.0])  # of the format that is given, then of the others
+    monkeypatch.setattr(headerless, "_likeness", lambda values: next(found))
+    if refused:
+        with pytest.raises(InvalidInput, match="unlike each other"):
+            read_headerless(path, layout("BayerRG12p", (160, 96)))
+    else:
+        read_headerless(path, layout("BayerRG12p", (160, 96)))

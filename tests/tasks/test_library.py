@@ -84,7 +84,7 @@ def test_detections_are_a_sequence_of_views(images):
 
 
 def test_a_camera_is_shown_by_its_parameters(report):
-    assert repr(report.camera).startswith("Camera(opencv4, 320x240, fx=")
+    assert repr(report.camera).startswith("Camera(opencv4, 320x240 px, fx=")
 
 
 def test_a_camera_alone_is_written_and_read_back(report, tmp_path):

@@ -34,11 +34,10 @@ from camcal.tasks.options import (
     Overwrite,
     Recursive,
     ReportFile,
-    lens_model_names,
-    lens_models,
     output_option,
     result_option,
 )
+from camcal.tasks.suggestions import lens_model_names, lens_models
 
 if TYPE_CHECKING:
     from camcal.targets.board import Board

@@ -12,7 +12,7 @@ from camcal.images.image import RAW_SUFFIXES
 from camcal.raw.frame_facts import BINS, ChannelFacts, channel_facts
 from camcal.raw.headerless import CandidateLayout, fitting_layouts, length_of
 from camcal.raw.mosaic import Capture, Mosaic, pattern_words
-from camcal.raw.options import BARE_SUFFIXES, HEADERLESS_SUFFIXES
+from camcal.raw.options import BARE_SUFFIXES, HEADERLESS_SUFFIXES, MONO
 from camcal.raw.pixel_formats import pixel_format_named
 from camcal.raw.reading import read_mosaic
 from camcal.report.letters import letters
@@ -102,6 +102,8 @@ def frame_lines(inspection: RawInspection) -> Iterator[str]:
     if frame.camera_gains is not None:
         gains = frame.camera_gains / frame.camera_gains.min()
         yield "white balance of the camera " + ", ".join(f"{c} {g:.4g}" for c, g in zip("RGB", gains, strict=True))
+    elif frame.pattern != MONO and inspection.path.suffix.lower() in RAW_SUFFIXES:
+        yield "no white balance of the camera in the file: --wb gray-world, a patch or gains R,G,B"
     if frame.orientation != _UPRIGHT:
         yield f"EXIF orientation {frame.orientation}"
 

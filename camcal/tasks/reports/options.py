@@ -5,7 +5,8 @@ from pathlib import Path
 from typing import Annotated
 
 from camcal.options import INPUT, LENS, SIZE, Argument, Option, OptionsRecord
-from camcal.tasks.options import FOLDER, PAGE, BoardText, Overwrite, lens_model_names, lens_models, output_option
+from camcal.tasks.options import FOLDER, PAGE, BoardText, Overwrite, output_option
+from camcal.tasks.suggestions import lens_model_names, lens_models
 
 
 @dataclass(frozen=True)

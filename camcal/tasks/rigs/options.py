@@ -42,11 +42,10 @@ from camcal.tasks.options import (
     Overwrite,
     Recursive,
     ReportFile,
-    lens_model_names,
-    lens_models,
     result_option,
 )
 from camcal.tasks.poses.track_options import Timing
+from camcal.tasks.suggestions import lens_model_names, lens_models
 
 if TYPE_CHECKING:
     from camcal.targets.board import Board

@@ -24,16 +24,8 @@ from camcal.options import (
 )
 from camcal.parsing import parse_number
 from camcal.simulate.options import USUAL_SENSOR, Sensor
-from camcal.tasks.options import (
-    BOARD_OPTION,
-    FOLDER,
-    CameraName,
-    Jobs,
-    Overwrite,
-    lens_model_names,
-    lens_models,
-    result_option,
-)
+from camcal.tasks.options import BOARD_OPTION, FOLDER, CameraName, Jobs, Overwrite, result_option
+from camcal.tasks.suggestions import lens_model_names, lens_models
 
 if TYPE_CHECKING:
     from camcal.simulate.mosaics import RawCamera

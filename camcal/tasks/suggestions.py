@@ -1,0 +1,37 @@
+"""Names for helps and for the completions of a shell: only what asks for them imports what they are names of."""
+
+
+def board_kinds() -> list[str]:
+    """Return the beginnings of the short forms of boards."""
+    from camcal.targets.board_types import FORMS
+
+    return [f"{kind}:" for kind in FORMS]
+
+
+def camera_formats() -> str:
+    """Return the help of --to, which names the camera formats."""
+    from camcal.formats.cameras import FORMATS
+
+    named = ", ".join(f"{form.name} ({form.title})" for form in FORMATS.values())
+    return f"Format of OUT where its suffix is that of several: {named}."
+
+
+def format_names() -> list[str]:
+    """Return the names of the camera formats."""
+    from camcal.formats.cameras import FORMATS
+
+    return list(FORMATS)
+
+
+def lens_models() -> str:
+    """Return the names of the lens models."""
+    from camcal.cameras.catalogue import help_line
+
+    return help_line()
+
+
+def lens_model_names() -> list[str]:
+    """Return the names of the lens models that cameras are calibrated with."""
+    from camcal.cameras.catalogue import MODELS
+
+    return [name for name, model in MODELS.items() if not model.is_view]
