@@ -30,7 +30,7 @@ class BoardDetection(Brief):
     levels. other: the board in sight that is not the one that was searched for. colours: the same points by the samples
     of one colour alone, by its name. blur_px: of the board's edges; motion_px: of the board since the frame before; NaN
     where they were not measured. refused: (M, 2) px, points that were found and are not used, of the board or of a
-    pattern that is not taken for it; for pictures.
+    pattern that is not taken for it; for pictures. inverted: the board is white where it is drawn black.
     """
 
     image: str = ""
@@ -49,6 +49,7 @@ class BoardDetection(Brief):
     motion_px: float = float("nan")
     sha256: str | None = None
     refused: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
+    inverted: bool = False
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "ids", readonly(self.ids, (None,), "ids", np.intp))

@@ -189,6 +189,13 @@ def test_the_arrangements_of_a_board_begin_with_itself_and_hold_no_pair_alike():
     assert len(arrangements(parse_board("charuco:5x5:40mm:30mm:DICT_4X4_50"))) == 1
 
 
+def test_a_charuco_board_printed_white_on_black_is_read_and_said_to_be():
+    image = view(CHARUCO)
+    straight, inverted = detect(image, CHARUCO), detect(255 - image, CHARUCO)
+    assert (straight.inverted, inverted.inverted) == (False, True)
+    assert_seen(inverted, straight.pixels, straight.ids, atol=0.1)
+
+
 def test_a_mirrored_charuco_image_says_so():
     assert detect(np.ascontiguousarray(view(CHARUCO)[:, ::-1]), CHARUCO).reason.startswith("the image is mirrored")
 

@@ -194,6 +194,7 @@ def marker_squares(board: Board, *, legacy: bool) -> Array:
     return np.argwhere((row + column + first) % 2 == 1)
 
 
+_WHITE = np.uint8(255)
 ENOUGH = 0.5  # of the board's corners, to look no further
 INSIDE = 0.9  # share of a pattern's corners that must be the board's where its markers put it
 MARGIN_USED = 0.8  # of a marker's white margin, so that a blurred marker stays out of the samples
@@ -218,10 +219,20 @@ def require_markers(board: Board) -> None:
 def find_charuco(gray: Array, board: Board) -> BoardDetection:
     """Return the corners of a ChArUco board in `gray`, (H, W) uint8, or the reason why there are none.
 
-    A board whose `legacy` is None is searched for in both patterns, and the one that more markers support is taken.
+    A board whose `legacy` is None is searched for in both patterns, and the one that more markers support is taken. One
+    that is printed white on black is found as well, where a checker pattern without its markers is in sight.
     Raises InvalidInput if the dictionary is unknown or too small.
     """
     require_markers(board)
+    found = _found(gray, board)
+    if found.found or not len(found.refused):
+        return found
+    inverted = _found(np.asarray(_WHITE - gray), board)
+    return replace(inverted, inverted=True) if inverted.found else found
+
+
+def _found(gray: Array, board: Board) -> BoardDetection:
+    """Return the corners of a board of dark markers on white, or the reason why there are none."""
     legacies = _legacies(board)
     best, most = BoardDetection.nothing(f"no marker of {board.dictionary} found"), 0
     for copy in proposals(gray):

@@ -92,7 +92,11 @@ def _detection(start: BoardDetection, corners: RefinedCorners, near: RefinedCorn
     pixels = np.where(good[:, None], corners.pixels, near.pixels)
     covariance = np.where(good[:, None, None], corners.covariance, near.covariance)
     return BoardDetection(
-        ids=start.ids[kept], pixels=pixels[kept], covariance=covariance[kept], refused=start.pixels[~kept]
+        ids=start.ids[kept],
+        pixels=pixels[kept],
+        covariance=covariance[kept],
+        refused=start.pixels[~kept],
+        inverted=start.inverted,
     )
 
 

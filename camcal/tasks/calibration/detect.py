@@ -124,7 +124,7 @@ def _detected(options: DetectOptions, progress: Progress) -> DetectReport:
         warnings,
         failed=tuple(map(str, errors)),
         lines=(
-            *pattern_lines(board, asked),
+            *pattern_lines(board, asked, views),
             *circle_lines(result.circles.get("")),
             *(summary(video, records) for video in videos),
         ),

@@ -84,8 +84,14 @@ def symmetry_warnings(board: Board) -> tuple[Message, ...]:
     return (Message("symmetric_board", text, {"rotation_deg": angle}),)
 
 
-def pattern_lines(board: Board, stated: Board) -> tuple[str, ...]:
-    """Return a line on the pattern of a ChArUco board where it was found out."""
+def pattern_lines(board: Board, stated: Board, views: Sequence[BoardDetection]) -> tuple[str, ...]:
+    """Return lines on the pattern of a ChArUco board where it was found out, and where it is printed inverted."""
+    count = sum(view.inverted for view in views)
+    inverted = (f"board printed inverted, white on black, in {counted(count, 'image')}",) if count else ()
+    return inverted + _pattern_lines(board, stated)
+
+
+def _pattern_lines(board: Board, stated: Board) -> tuple[str, ...]:
     if board.legacy == stated.legacy or (board.rows + 1) % 2:
         return ()
     return ("legacy ChArUco pattern (OpenCV < 4.6)" if board.legacy else "current ChArUco pattern (OpenCV >= 4.6)",)

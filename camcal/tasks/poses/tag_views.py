@@ -220,7 +220,7 @@ def board_frames(
         known,
         Detections(known, tuple(views)),
         warnings,
-        lines=pattern_lines(known, board),
+        lines=pattern_lines(known, board, views),
         failed=tuple(map(str, errors)),
     )
 

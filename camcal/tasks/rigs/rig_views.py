@@ -177,7 +177,7 @@ def _from_media(cameras: Sequence[CameraInputs], settings: RigSettings, progress
     )
     warn_of(warnings, progress)
     in_videos = tuple(videos.videos.values()) if videos else ()
-    lines = (*pattern_lines(found.board, asked), *(summary(video, records) for video in in_videos))
+    lines = (*pattern_lines(found.board, asked, found.views), *(summary(video, records) for video in in_videos))
     return replace(
         result,
         warnings=warnings + result.warnings,
