@@ -14,7 +14,6 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.estimate.poses import states as se3
 from camcal.estimate.poses.moments import inverses
-from camcal.estimate.poses.packed_correspondences import PackedCorrespondences
 from camcal.estimate.poses.problem import PoseProblems, different, distinct, firsts, lowest
 from camcal.estimate.poses.starts import poses_of_triplets
 from camcal.estimate.poses.states import NEAR_PLANE, Extents
@@ -36,8 +35,10 @@ Limits = Callable[[Array, Array], Array]
 MOST = 20000  # triplets: enough for 93 % of outliers at a confidence of 0.999
 _CORNERS = 3  # points of a triplet
 _ROUND, _LONG_ROUND = 96, 1024  # triplets drawn at a time
+_TOGETHER = 4  # problems whose triplets are solved at once, which stay in the processor's cache
 _SCORED = 256  # points that score the poses of triplets; all points score the settled ones
 _PROMISING = 4  # poses of a round that are settled
+_ROUNDED = 1e-4  # share of a score that rounding may change
 
 
 @dataclass(frozen=True)
@@ -265,12 +266,16 @@ def _supported(problems: PoseProblems, states: Array, best: RefitPoses, criterio
 
 
 def _on_best(problems: PoseProblems, found: RefitPoses, others: Array, of_others: Array) -> tuple[PoseProblems, Minima]:
-    """Return the problems of the inliers of the lowest poses, and their minima from all poses found and others."""
+    """Return the problems of the inliers of the lowest poses, and their minima from others and from what was found that
+    half as many points agree with.
+    """
     chosen = found.lowest()
     masks = tuple(np.zeros_like(mask) for mask in problems.masks)
     for mask, inliers in zip(masks, chosen.masks, strict=True):
         mask[chosen.which] = inliers
     own = problems.masked(masks)
+    count = np.asarray(sum(mask.sum(axis=1) for mask in found.masks))
+    found = found.take(2 * count >= own.counts[found.which])
     states, which = np.concatenate([found.states, others]), np.concatenate([found.which, of_others])
     return own, different(own.minimise(states, which))
 
@@ -283,56 +288,93 @@ class Sampling:
     seed: int
 
 
-def sampled(problems: PoseProblems, problem: int, criterion: InlierCriterion, sampling: Sampling) -> RefitPoses:
-    """Return settled poses of one problem, the lowest few."""
-    own = problems.take(np.array([problem]))
-    rng = np.random.default_rng(sampling.seed)
-    scorer = _Scorer.of(own, criterion, rng)
+def sampled(problems: PoseProblems, which: Array, criterion: InlierCriterion, sampling: Sampling) -> RefitPoses:
+    """Return settled poses of some problems, the lowest few of each.
+
+    All problems take turns together: what a fit or a triplet costs in calls, it costs for all of them at once.
+    """
+    own = problems.take(which)
+    searches = [_Search.of(own, problem, criterion, sampling.seed) for problem in range(len(which))]
     found = refit_inliers(own, np.zeros((0, 3, 4)), np.zeros(0, np.intp), criterion)
-    best, drawn, needed = np.inf, 0, float(_ROUND)
-    while drawn < min(needed, MOST):
-        batch = int(np.clip(needed - drawn, _ROUND, _LONG_ROUND))
-        states = _drawn(own, batch, rng)
-        drawn += batch
-        scores = scorer.scores(states)
-        promising = np.argsort(scores, kind="stable")[:_PROMISING]
-        if not promising.size or scores[promising[0]] >= best:
-            needed = float(MOST) if np.isinf(best) else needed
+    while active := [problem for problem, search in enumerate(searches) if search.drawn < search.needed]:
+        parts = []
+        for start in range(0, len(active), _TOGETHER):
+            together = active[start : start + _TOGETHER]
+            states, of = _drawn(own, together, [searches[problem].draw() for problem in together])
+            ends = np.searchsorted(of, together, side="right")
+            for problem, some in zip(together, np.split(states, ends), strict=False):
+                promising = searches[problem].promising(some)
+                parts.append((promising, np.full(len(promising), problem)))
+        states, of = (np.concatenate(each) for each in zip(*parts, strict=True))
+        if not of.size:
             continue
-        best = scores[promising[0]]
-        chosen = se3.stacked(so3.nearest(states[promising, :, :3]), states[promising, :, 3])
-        found = found.joined(refit_inliers(own, chosen, np.zeros(len(chosen), np.intp), criterion)).different()
-        needed = _needed(found, int(own.counts[0]), sampling.confidence)
-    return RefitPoses(found.states, np.full(len(found.which), problem), found.masks, found.truncated)
+        states = se3.stacked(so3.nearest(states[:, :, :3]), states[:, :, 3])
+        found = found.joined(refit_inliers(own, states, of, criterion)).different()
+        best = found.take(np.isin(found.which, of)).lowest()
+        inliers = np.asarray(sum(mask.sum(axis=1) for mask in best.masks))
+        for problem, count in zip(best.which, inliers, strict=True):
+            searches[problem].needed = _needed(count, own.counts[problem], sampling.confidence)
+    return found.of(which[found.which])
 
 
-def _needed(found: RefitPoses, count: int, confidence: float) -> float:
-    """Return how many triplets to draw so that one had no outlier, if the inliers are those of the best pose."""
-    if not len(found.which):
-        return float(MOST)
-    inliers = sum(int(mask[0].sum()) for mask in found.masks)
-    shares = [(inliers - k) / (count - k) for k in range(3)]
-    clean = min(float(np.prod(shares)), 1 - 1e-12)
-    return float(np.log1p(-confidence) / np.log1p(-clean)) if clean > 0 else float(MOST)
+@dataclass(eq=False)
+class _Search:
+    """The random triplets of one problem: how many were drawn and are needed, and the lowest score of a pose so far.
+
+    points: indices of those that each camera has.
+    """
+
+    scorer: "_Scorer"
+    rng: np.random.Generator
+    points: list[Array]
+    best: float
+    drawn: int = 0
+    needed: float = MOST
+
+    @classmethod
+    def of(cls, problems: PoseProblems, problem: int, criterion: InlierCriterion, seed: int) -> "_Search":
+        rng, points = np.random.default_rng(seed), [np.flatnonzero(mask[problem]) for mask in problems.masks]
+        scorer = _Scorer.of(problems, int(problems.view[problem]), points, criterion, rng)
+        return cls(scorer, rng, points, scorer.unsupported)
+
+    def draw(self) -> list[Array]:
+        """Return some more triplets (T, 3) of points of each camera."""
+        count = int(np.clip(self.needed - self.drawn, _ROUND, _LONG_ROUND)) if self.drawn else _ROUND
+        self.drawn += count
+        sizes = np.array([len(points) for points in self.points])
+        choices = sizes * (sizes - 1.0) * (sizes - 2.0)
+        shares = self.rng.multinomial(count, choices / max(choices.sum(), 1.0))
+        pairs = zip(self.points, np.where(sizes < _CORNERS, 0, shares).tolist(), strict=True)
+        return [_triplets(points, share, self.rng) if share else np.zeros((0, 3), np.intp) for points, share in pairs]
+
+    def promising(self, states: Array) -> Array:
+        """Return the few best of states (S, 3, 4), none if an earlier one was better than these."""
+        scores = self.scorer.scores(states)
+        first = np.argsort(scores, kind="stable")[:_PROMISING]
+        if not first.size or scores[first[0]] >= self.best:
+            return states[:0]
+        self.best = scores[first[0]]
+        return states[first[scores[first] < self.scorer.unsupported]]
 
 
-def _drawn(problems: PoseProblems, count: int, rng: np.random.Generator) -> Array:
-    """Return the states (S, 3, 4), frame_T_object, of `count` random triplets of points of one camera each."""
-    found, view = [np.zeros((0, 3, 4))], int(problems.view[0])
-    sizes = np.array([mask[0].sum() for mask in problems.masks])
-    choices = sizes * (sizes - 1.0) * (sizes - 2.0)
-    shares = rng.multinomial(count, choices / max(choices.sum(), 1.0))
-    for packed, mask, share in zip(problems.packed_views, problems.masks, shares, strict=True):
-        points = np.flatnonzero(mask[0])
-        if share and len(points) >= _CORNERS:
-            found.append(_of_one_camera(packed, view, _triplets(points, int(share), rng)))
-    return np.concatenate(found)
+def _needed(inliers: int, count: int, confidence: float) -> float:
+    """Return how many triplets of `count` points to draw so that one had no outlier."""
+    clean = min(float(np.prod([(inliers - k) / (count - k) for k in range(_CORNERS)])), 1 - 1e-12)
+    return min(float(np.log1p(-confidence) / np.log1p(-clean)), MOST) if clean > 0 else MOST
 
 
-def _of_one_camera(packed: PackedCorrespondences, view: int, triplets: Array) -> Array:
-    rays, points = (each[:, view][:, triplets].transpose(1, 2, 0) for each in (packed.rays, packed.points))
-    states, _ = poses_of_triplets(rays, points)
-    return se3.compose(packed.inverse_frame, states)
+def _drawn(problems: PoseProblems, which: list[int], triplets: list[list[Array]]) -> tuple[Array, Array]:
+    """Return the states (S, 3, 4), frame_T_object, of the triplets of problems, and their problems (S,) in order."""
+    parts = []
+    for packed, of_camera in zip(problems.packed_views, zip(*triplets, strict=True), strict=True):
+        of = np.repeat(which, [len(some) for some in of_camera])
+        corners, view = np.concatenate(of_camera).T, problems.view[of]
+        rays, points = (each[:, view, corners].transpose(2, 1, 0) for each in (packed.rays, packed.points))
+        states, triplet = poses_of_triplets(rays, points)
+        parts.append((packed.in_frame(states), of[triplet]))
+    states, of = (np.concatenate(each) for each in zip(*parts, strict=True))
+    order = np.argsort(of, kind="stable")
+    return states[order], of[order]
 
 
 def _triplets(points: Array, count: int, rng: np.random.Generator) -> Array:
@@ -349,25 +391,43 @@ def _triplets(points: Array, count: int, rng: np.random.Generator) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class _Scorer:
-    """The truncated error of many poses of one view, from some of its points where there are many."""
+    """The truncated error of many poses of one view, from some of its points where there are many.
 
-    problems: PoseProblems
-    criterion: InlierCriterion
+    A point is off by J y / (d · y) to first order, where y is the point in the camera, d its pixel's ray and J the
+    derivative of pixels at d, where J d = 0: that is enough to tell what is within the limit, and takes one product.
+    factors: (3 N, 13) of the rows of poses and a one, in single precision.
+    """
+
+    factors: Array
+    limit: np.float32
 
     @classmethod
-    def of(cls, problems: PoseProblems, criterion: InlierCriterion, rng: np.random.Generator) -> "_Scorer":
-        view = int(problems.view[0])
-        packed_views = []
-        for packed, mask in zip(problems.packed_views, problems.masks, strict=True):
-            points = np.flatnonzero(mask[0])
-            if len(points) > _SCORED:
-                points = np.sort(rng.choice(points, _SCORED, replace=False))
-            packed_views.append(packed.take(np.array([view])).only(points))
-        chosen = PoseProblems.of(tuple(packed_views))
-        return cls(chosen, criterion)
+    def of(
+        cls,
+        problems: PoseProblems,
+        view: int,
+        points: list[Array],
+        criterion: InlierCriterion,
+        rng: np.random.Generator,
+    ) -> "_Scorer":
+        factors = []
+        for packed, every in zip(problems.packed_views, points, strict=True):
+            some = np.sort(rng.choice(every, _SCORED, replace=False)) if len(every) > _SCORED else every
+            chosen = packed.take(np.array([view])).only(some)
+            factors.append(chosen.sight_factors(np.sqrt(chosen.variances()) if criterion.in_pixels else 1.0))
+        rows = np.concatenate(factors, axis=1, dtype=np.float32).reshape(-1, factors[0].shape[-1])
+        return cls(rows, np.float32(criterion.threshold) ** 2)
+
+    @property
+    def unsupported(self) -> float:
+        """The score of a pose that no point supports but the three it was made from."""
+        return float(self.limit) * (len(self.factors) // 3 - _CORNERS) * (1 - _ROUNDED)
 
     def scores(self, states: Array) -> Array:
         """Return the scores (S,) of states (S, 3, 4), the lowest best."""
-        which, limit = np.zeros(len(states), np.intp), self.criterion.threshold**2
-        squared = self.criterion.squared(self.problems, states, which)
-        return np.asarray(sum(np.minimum(each, limit).sum(axis=1) for each in squared))
+        rows = np.ones((13, len(states)), np.float32)
+        rows[:12] = states.reshape(-1, 12).T
+        with np.errstate(all="ignore"):
+            u, v, depth = (self.factors @ rows).reshape(3, len(self.factors) // 3, len(states))
+            squared = (u * u + v * v) / np.square(np.maximum(depth, 0.0))
+            return np.asarray(np.fmin(squared, self.limit).sum(axis=0))
