@@ -14,11 +14,9 @@ from camcal.estimate.poses.inliers import (
     WIDTH,
     InlierCriterion,
     RefitPoses,
-    Sampling,
     choose,
     likeliest_threshold,
     refit_inliers,
-    sampled,
     squared_as_new,
     trimmed_refit,
     truncated_cost,
@@ -27,6 +25,7 @@ from camcal.estimate.poses.packed_correspondences import Group
 from camcal.estimate.poses.pose_quality import ResidualNoise
 from camcal.estimate.poses.problem import ROUNDING, Anchor, PoseProblems, anchors, lowest, pose_minima
 from camcal.estimate.poses.records import PoseOptions
+from camcal.estimate.poses.samples import Sampling, sampled
 from camcal.estimate.poses.starts import FEW
 from camcal.estimate.poses.states import Extents
 from camcal.solve.independent import Minima, joined

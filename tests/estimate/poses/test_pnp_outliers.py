@@ -12,7 +12,7 @@ from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.errors import InsufficientData
 from camcal.estimate.pnp import estimate_poses
-from camcal.estimate.poses import fits, inliers, pose_quality
+from camcal.estimate.poses import fits, inliers, pose_quality, samples
 from camcal.estimate.poses import states as se3
 from camcal.estimate.poses.inliers import likeliest_threshold
 from camcal.estimate.poses.packed_correspondences import Group, PackedCorrespondences
@@ -167,7 +167,7 @@ def test_scores_of_samples_are_the_truncated_errors_through_the_lens():
     view = replace(view, covariance=np.tile([[0.5, 0.2], [0.2, 1.5]], (60, 1, 1)))
     problems = PoseProblems.of((PackedCorrespondences.of(FISHEYE, [view], frame),))
     states = se3.retract(np.repeat(se3.of_poses([frame.inverse() @ truth]), 30, axis=0), rng.normal(0, 2e-3, (30, 6)))
-    search = inliers._Search.of(problems, 0, criterion, seed=0)
+    search = samples._Search.of(problems, 0, criterion, seed=0)
     exact = 2 * inliers.truncated_cost(problems, states, np.zeros(30, int), criterion)
     np.testing.assert_allclose(search.scorer.scores(states), exact, rtol=0.01)  # first order in residuals of 3 px
 
@@ -254,7 +254,7 @@ def test_the_variance_that_a_cut_leaves_is_that_of_normal_coordinates():
 
 
 def test_triplets_have_three_different_points_and_all_are_as_likely():
-    found = inliers._triplets(np.arange(10, 15), 30_000, np.random.default_rng(3))
+    found = samples._triplets(np.arange(10, 15), 30_000, np.random.default_rng(3))
     triplets, counts = np.unique(found, axis=0, return_counts=True)
     assert len(triplets) == 5 * 4 * 3
     assert all(len(set(triplet)) == 3 for triplet in triplets.tolist())
