@@ -133,6 +133,7 @@ CODES: Mapping[str, Mapping[str, str]] = {
         "successive_rejections": "several successive detections were rejected",
         "overconfident": "innovations are larger than their covariances",
         "underconfident": "innovations are smaller than their covariances",
+        "smoothed_already": "poses that `camcal smooth` reads have been smoothed before",
         "filter_gain_too_high": "innovations alternate in sign",
         "correlated_innovations": "innovations are correlated in time",
         "heavy_tails": "too many large innovations",

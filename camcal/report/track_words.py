@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.estimate.smoothing.kalman import Consistency
+from camcal.estimate.smoothing.kalman import CORRELATED, Consistency
 from camcal.estimate.tracking.jitter import Jitter, JitterStd
 from camcal.estimate.tracking.track import MEASURED, REJECTED, Track
 from camcal.formats.trajectories.tracked import TrackedObject
@@ -40,7 +40,8 @@ def consistency_line(judged: Consistency) -> str:
     """Return whether the covariances of a track or a series are reliable, with the figure that decides."""
     low, high = judged.interval
     nis = f": mean NIS {judged.mean_nis:.2f} ({low:.2f} … {high:.2f} expected)" if judged.innovations else ""
-    return f"covariances {judged.verdict}{nis}"
+    verdict = "consistent in size, but innovations correlated" if judged.verdict == CORRELATED else judged.verdict
+    return f"covariances {verdict}{nis}"
 
 
 def consistency_details(judged: Consistency) -> str:

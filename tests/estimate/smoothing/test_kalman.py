@@ -121,6 +121,16 @@ def test_a_gain_that_is_too_high_is_told_by_innovations_that_change_sign(rng, si
     assert "reduce the process noise q" in report.warning.text
 
 
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_innovations_of_the_right_size_that_are_correlated_are_not_consistent(rng, sign):
+    white = rng.normal(size=1501)
+    series = (0.9 * white[1:] + sign * np.sqrt(0.19) * white[:-1])[:, None]  # variance 1
+    report = consistency(series[:, 0] ** 2, np.ones(1500), successive(series, np.zeros(1500)))
+    assert report.mean_nis == pytest.approx(1, abs=0.15)  # 4 σ
+    assert report.verdict == "correlated"
+    assert report.warning.code == ("filter_gain_too_high" if sign < 0 else "correlated_innovations")
+
+
 def test_innovations_are_paired_within_their_chain_over_what_is_missing():
     whitened = np.array([[1.0], [np.nan], [2.0], [3.0], [4.0]])
     first, second = successive(whitened, np.array([0, 0, 0, 1, 1]))
