@@ -135,7 +135,7 @@ class Consistency:
     innovations: how many. mean_nis: mean normalised innovation squared of one degree of freedom, 1 if all is right.
     interval: in which it lies with 95 % if all is right. beyond_95: share of innovations beyond their own 95 % bound.
     autocorrelation: of successive innovations, 0 if all is right; autocorrelation_limit: its 95 % bound.
-    verdict: consistent, overconfident, underconfident, correlated where successive innovations of the right size are not
+    verdict: consistent, overconfident, underconfident, correlated where innovations of the right size are not
     independent, not judged without innovations, or, of poses, ambiguous where too many may be another pose.
     warning: what is wrong and what to do, None if all is right.
     """
