@@ -120,6 +120,7 @@ CODES: Mapping[str, Mapping[str, str]] = {
         "mixed_units": "points or views are probably in different units",
         "few_degrees_of_freedom": "noise was estimated from few residuals",
         "residuals_exceed_noise": "residuals are larger than the given noise",
+        "other_camera": "residuals are larger than detection and calibration expect: the camera may be another one",
         "few_inliers": "fewer than half of the points are inliers",
         "camera_without_inliers": "a camera of a rig has no inliers",
         "already_undistorted": "the pixels are probably of undistorted images",
