@@ -240,7 +240,7 @@ def _warnings(
     settings: PoseOptions,
 ) -> list[Message]:
     estimates = list(found.values())
-    expected = seen.spread == "detected" and bool(observer.model_errors_px)
+    expected = seen.spread == "detected" and bool(observer.noise_px or observer.model_errors_px)
     warnings = pnp_records.of_noise(estimates, observations, observer.noise_px, expected=expected)
     warnings += pnp_records.of_outliers(estimates, observations)
     if seen.unit == "m":
