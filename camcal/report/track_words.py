@@ -1,6 +1,7 @@
 """A track as text and as plain data: detections, rejections, and consistency."""
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,13 @@ from camcal.formats.trajectories.tracked import TrackedObject
 from camcal.messages import Message
 
 _IN_A_ROW = 3  # outliers hardly ever come so
+# What `camcal track` has for the remedies of `camcal smooth`; --noise is an option of `camcal pnp` as well
+_REMEDIES = {
+    "--q": "--process-noise",
+    "try another motion --model": "errors last from frame to frame, increase --noise",
+    "use --robust huber": "increase --noise",
+    "--sigma": "--noise",
+}
 
 
 def lines(item: TrackedObject) -> Iterator[str]:
@@ -62,7 +70,10 @@ def warnings(item: TrackedObject) -> Iterator[Message]:
         yield Message("successive_rejections", text, {"frames": len(row), "start_s": start})
     judged = item.track.consistency
     if judged is not None and judged.warning is not None:
-        yield judged.warning
+        text = judged.warning.text
+        for smoothing, tracking in _REMEDIES.items():
+            text = text.replace(smoothing, tracking)
+        yield replace(judged.warning, text=text)
 
 
 def _longest_refusal(track: Track) -> Array | None:

@@ -224,7 +224,7 @@ def _verdict(mean: float, low: float, high: float) -> str:
 
 
 def _warning(verdict: str, lasting: bool, alternating: bool, many_large: bool) -> Message | None:
-    """Return what is wrong with the noise or the model, None if nothing is.
+    """Return what is wrong with the noise or the model, None if nothing is; options are those of `camcal smooth`.
 
     lasting: errors stay from step to step, a motion the model does not follow. alternating: they change sign from step
     to step, as where a filter follows the noise of its measurements. many_large: more innovations are beyond their
@@ -232,17 +232,17 @@ def _warning(verdict: str, lasting: bool, alternating: bool, many_large: bool) -
     """
     if verdict == OVERCONFIDENT:
         slow = lasting and not alternating
-        remedy = "process noise too low, increase q" if slow else "increase the measurement noise sigma"
+        remedy = "process noise too low, increase --q" if slow else "increase the measurement noise, --sigma"
         return Message("overconfident", f"innovations larger than their covariances: {remedy}")
     if alternating:
-        remedy = "reduce the process noise q" + (", increase sigma" if verdict == CONSISTENT else "")
+        remedy = "reduce the process noise, --q" + (", or increase --sigma" if verdict == CONSISTENT else "")
         return Message("filter_gain_too_high", f"filter gain too high: {remedy}")
     if verdict == UNDERCONFIDENT:
-        return Message("underconfident", "innovations smaller than their covariances: reduce sigma or q")
+        return Message("underconfident", "innovations smaller than their covariances: reduce --sigma or --q")
     if lasting:
-        return Message("correlated_innovations", "successive innovations are correlated: try another motion model")
+        return Message("correlated_innovations", "successive innovations are correlated: try another motion --model")
     if many_large:
-        return Message("heavy_tails", "too many large innovations for normal noise: use a robust loss")
+        return Message("heavy_tails", "too many large innovations for normal noise: use --robust huber")
     return None
 
 

@@ -100,7 +100,7 @@ def test_errors_that_last_are_laid_to_the_motion(rng):
     steady = np.convolve(rng.normal(size=3000), np.ones(10) / 2, mode="same")[:, None]
     report = consistency(steady[:, 0] ** 2, np.ones(3000), successive(steady, np.zeros(3000)))
     assert report.autocorrelation > 0.5
-    assert "increase q" in report.warning.text
+    assert "increase --q" in report.warning.text
 
 
 @pytest.mark.parametrize(("sigma", "q"), [(1.0, 100.0), (0.7, 100.0), (0.3, 100.0)])
@@ -118,7 +118,7 @@ def test_a_gain_that_is_too_high_is_told_by_innovations_that_change_sign(rng, si
     assert report.verdict == "underconfident"
     assert report.autocorrelation < -0.4  # of differences of white noise: -0.5
     assert report.warning.code == "filter_gain_too_high"
-    assert "reduce the process noise q" in report.warning.text
+    assert "reduce the process noise, --q" in report.warning.text
 
 
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
