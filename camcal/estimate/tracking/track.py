@@ -29,7 +29,6 @@ MEASURED, PREDICTED, REJECTED, GAP = "measured", "predicted", "rejected", "gap"
 STATES = (MEASURED, PREDICTED, REJECTED, GAP)
 _OTHER_POSE_LIKELY = 0.01  # probability of another pose that is told
 _OFTEN = 0.03  # share of poses that may be wrong, on average, from which on a track is ambiguous
-_EXCHANGES = 3  # of stretches for the other poses of their frames
 
 
 @dataclass(frozen=True)
@@ -160,37 +159,22 @@ def track_poses(
     segments = follow(measurements, noise.densities, options.following)
     if not segments:
         raise no_track(poses)
-    common = common_part(poses)
-    track = _assembled(frames, measurements, common, noise, segments, options)
+    track = _assembled(frames, measurements, common_part(poses), noise, segments, options)
     if options.lag is not None:
         return track
-    near, two, lead = _lead(measurements, track, segments, options.following)
-    for _ in range(_EXCHANGES):
-        if np.all(lead >= 0):
-            break
-        kept = measurements.keeping(np.where(two[:, None], near == (lead >= 0)[:, None], True))
-        segments = follow(kept, noise.densities, options.following)
-        if not segments:
-            break
-        other = _assembled(frames, kept, common, noise, segments, options)
-        led = _lead(measurements, other, segments, options.following)
-        if np.sum(led[2] < 0) >= np.sum(lead < 0):
-            break
-        track, (near, two, lead) = other, led
-    chance = np.where(two, 1 / (1 + np.exp(np.clip(lead / 2, -500, 500))), 0.0)
-    track = replace(track, p_wrong=np.where(track.posed, chance, np.nan))
+    track = replace(track, p_wrong=_chance_of_others(measurements, track, segments, options.following))
     if track.consistency is None:
         return track
     return replace(track, consistency=or_ambiguous(track.consistency, float(np.nanmean(track.p_wrong))))
 
 
-def _lead(
+def _chance_of_others(
     measurements: PoseMeasurements, track: Track, segments: Sequence[Segment], following: GateOptions
-) -> tuple[Array, Array, Array]:
-    """Return which candidates (N, C) are near the track, at which frames (N,) there are others, and by how much χ² of
-    the track is below that of one that follows those, over the frames around each (N,).
+) -> Array:
+    """Return the probability (N,) that the other poses of the frames around each are the true ones, NaN without a pose.
 
-    Motion and pixels both speak: each frame counts with the likelihood of its pose given those before.
+    A second track follows these. Motion and pixels both speak: each frame counts with the likelihood of its pose given
+    those before, over a window, as the true pose may be the other one for a while.
     """
     rotations = np.where(track.posed[:, None, None], track.rotations, np.eye(3))
     near = so3.angle_between(rotations[:, None], measurements.rotations) < FAR
@@ -206,7 +190,9 @@ def _lead(
     more = np.where(two, cost[1] - cost[0], 0.0)
     total = np.concatenate([[0.0], np.cumsum(more)])
     frames = np.arange(len(more))
-    return near, two, total[np.minimum(frames + WINDOW + 1, len(more))] - total[np.maximum(frames - WINDOW, 0)]
+    lead = total[np.minimum(frames + WINDOW + 1, len(more))] - total[np.maximum(frames - WINDOW, 0)]
+    chance = np.where(two, 1 / (1 + np.exp(np.clip(lead / 2, -500, 500))), 0.0)
+    return np.where(track.posed, chance, np.nan)
 
 
 def or_ambiguous(judged: Consistency, share: float) -> Consistency:
