@@ -12,7 +12,7 @@ from camcal.arrays import Array, BoolArray
 from camcal.cameras.model import Camera
 
 PER_EDGE = 16  # samples of each edge of the image: a corner and those towards the next one
-HALVINGS = 20  # of a segment across the image: to a millionth of it
+ROUNDS, _PARTS = 5, 16  # a segment across the image is divided in turns: to a millionth of it
 _HALF = 0.25  # px to either side of a pixel's centre: derivatives to 1e-6, and corners stay inside the image
 
 
@@ -137,11 +137,13 @@ def rim(camera: Camera, per_edge: int = PER_EDGE, circle: ImageCircle | None = N
     border = border if circle is None else circle.clipped(centre, border)
     folded = ~camera.unproject(border).valid
     reach = border[folded] - centre
-    low, high = np.zeros((len(reach), 1)), np.ones((len(reach), 1))
-    for _ in range(HALVINGS if len(reach) else 0):
-        middle = 0.5 * (low + high)
-        valid = camera.unproject(centre + middle * reach).valid[:, None]
-        low, high = np.where(valid, middle, low), np.where(valid, high, middle)
+    low, width = np.zeros((len(reach), 1)), 1.0
+    shares = np.arange(1, _PARTS) / _PARTS
+    for _ in range(ROUNDS if len(reach) else 0):
+        tried = centre + (low + width * shares)[..., None] * reach[:, None]
+        valid = camera.unproject(tried.reshape(-1, 2)).valid.reshape(len(reach), -1)
+        width /= _PARTS
+        low = low + width * np.cumprod(valid, axis=1).sum(axis=1, keepdims=True)
     farthest = border.copy()
     farthest[folded] = centre + low * reach
     nearest = np.linalg.norm(low * reach, axis=1).min(initial=math.inf)

@@ -290,6 +290,7 @@ def prepare() -> None:
     # One BLAS thread: sums in another order would give other digits on a machine with other cores.
     for name in BLAS_THREADS:
         os.environ.setdefault(name, "1")
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # typer's; it would read about every package there is
     limits.set_default()
     if not sys.warnoptions:  # whoever asks for Python's warnings has them
         warnings.simplefilter("ignore")

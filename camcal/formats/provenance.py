@@ -4,7 +4,6 @@ import os
 import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from datetime import UTC, datetime
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -98,6 +97,8 @@ def libraries() -> dict[str, str]:
 
 
 def _version(distribution: str) -> str | None:
+    from importlib import metadata  # imports the e-mail package: only who writes a file waits for it
+
     try:
         return metadata.version(distribution)
     except metadata.PackageNotFoundError:

@@ -1,18 +1,26 @@
 """A track as text and as plain data: detections, rejections, and consistency."""
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.estimate.smoothing.kalman import Consistency
+from camcal.estimate.smoothing.kalman import CORRELATED, Consistency
 from camcal.estimate.tracking.jitter import Jitter, JitterStd
 from camcal.estimate.tracking.track import MEASURED, REJECTED, Track
 from camcal.formats.trajectories.tracked import TrackedObject
 from camcal.messages import Message
 
 _IN_A_ROW = 3  # outliers hardly ever come so
+# What `camcal track` has for the remedies of `camcal smooth`; --noise is an option of `camcal pnp` as well
+_REMEDIES = {
+    "--q": "--process-noise",
+    "try another motion --model": "errors last from frame to frame, increase --noise",
+    "use --robust huber": "increase --noise",
+    "--sigma": "--noise",
+}
 
 
 def lines(item: TrackedObject) -> Iterator[str]:
@@ -40,7 +48,8 @@ def consistency_line(judged: Consistency) -> str:
     """Return whether the covariances of a track or a series are reliable, with the figure that decides."""
     low, high = judged.interval
     nis = f": mean NIS {judged.mean_nis:.2f} ({low:.2f} … {high:.2f} expected)" if judged.innovations else ""
-    return f"covariances {judged.verdict}{nis}"
+    verdict = "consistent in size, but innovations correlated" if judged.verdict == CORRELATED else judged.verdict
+    return f"covariances {verdict}{nis}"
 
 
 def consistency_details(judged: Consistency) -> str:
@@ -61,7 +70,10 @@ def warnings(item: TrackedObject) -> Iterator[Message]:
         yield Message("successive_rejections", text, {"frames": len(row), "start_s": start})
     judged = item.track.consistency
     if judged is not None and judged.warning is not None:
-        yield judged.warning
+        text = judged.warning.text
+        for smoothing, tracking in _REMEDIES.items():
+            text = text.replace(smoothing, tracking)
+        yield replace(judged.warning, text=text)
 
 
 def _longest_refusal(track: Track) -> Array | None:

@@ -17,7 +17,6 @@ from typing import NamedTuple
 
 from camcal import files, system, urls
 from camcal.errors import FileError, in_one_line, reason
-from camcal.run.fanout import fan_out
 
 MANIFEST = ".camcal-output"
 
@@ -98,6 +97,8 @@ def unchanged(known: Sequence[tuple[Path, Entry]]) -> list[bool]:
     """Return of each of some files whether it has the content that is known of it."""
     if len(known) < _MANY:
         return list(map(_is_of, known))
+    from camcal.run.fanout import fan_out  # a folder of many files only: its worker processes take long to import
+
     return [outcome.value is True for outcome in fan_out(_is_of, known)]
 
 

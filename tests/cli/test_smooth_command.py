@@ -213,6 +213,16 @@ def test_poses_are_smoothed_and_compared(run, turning, tmp_path):
     assert found.velocities is not None
 
 
+def test_poses_that_are_smoothed_already_are_said_and_not_judged(run, turning, tmp_path):
+    assert run("smooth", turning / "measured.tum", "-o", tmp_path / "once.csv")[0] == 0
+    document = json.loads(run("smooth", tmp_path / "once.csv", "--json")[1])
+    assert [warning["code"] for warning in document["warnings"]] == ["smoothed_already"]
+    assert document["consistency"]["verdict"] == "not judged"
+    code, out, _ = run("smooth", tmp_path / "once.csv")
+    assert code == 0
+    assert out.startswith("Covariances not judged")
+
+
 def test_poses_are_said_with_their_units_and_resampled(run, turning, tmp_path):
     code, out, _ = run(
         "smooth",

@@ -76,7 +76,9 @@ def files(tmp_path_factory):
 def test_a_pose_file_is_followed_and_judged(run, files, tmp_path):
     code, out, err = run("track", files / "one.json", "--fps", 30, "-o", tmp_path / "t.csv")
     assert code == 0
-    assert err.splitlines() == ["camcal: warning: innovations smaller than their covariances: reduce sigma or q"]
+    assert err.splitlines() == [
+        "camcal: warning: innovations smaller than their covariances: reduce --noise or --process-noise"
+    ]
     assert "underconfident:" in out
     for words in (
         f"of {COUNT} frames",

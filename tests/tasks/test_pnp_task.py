@@ -344,6 +344,23 @@ def test_residuals_that_exceed_the_given_noise_are_noticed(camera_file, tmp_path
     assert "residuals_exceed_noise" in [warning.code for warning in listener.warnings]
 
 
+@pytest.mark.parametrize(("focal", "warned"), [(900.0, False), (990.0, True)])
+def test_a_camera_file_of_another_camera_of_the_same_image_size_is_noticed(tmp_path, seen, focal, warned):
+    own = replace(CAMERA, parameters=np.array([focal, focal + 5.0, 660.0 if warned else 640.0, *CAMERA.parameters[3:]]))
+    path, listener = tmp_path / "camera.yaml", Listener()
+    native.write(path, CameraFile({"left": CameraEntry(own, noise=CalibrationNoise(0.1, 400, model_error_px=0.0))}))
+    known = np.tile(0.01 * np.eye(2), (len(BOARD.points()), 1, 1))
+    views = tuple(replace(view, covariance=known[view.ids]) for view in seen.views)
+    report = pnp(from_detections(str(path), tmp_path, replace(seen, views=views), outliers="few"), listener)
+    codes = [warning.code for warning in listener.warnings]
+    assert ("other_camera" in codes) == warned
+    if warned:
+        with pytest.raises(GateFailed, match="another camera"):
+            report.require_good(Gates(require="consistent"))
+    else:
+        report.require_good(Gates(require="consistent"))
+
+
 def test_a_given_sigma_is_taken_at_its_word(camera_file, tmp_path, seen):
     view, path = seen.views[0], tmp_path / "points.csv"
     table = np.column_stack([BOARD.points()[view.ids], view.pixels, np.full(len(view.ids), 0.3)])

@@ -14,11 +14,9 @@ from camcal.estimate.poses.inliers import (
     WIDTH,
     InlierCriterion,
     RefitPoses,
-    Sampling,
     choose,
     likeliest_threshold,
     refit_inliers,
-    sampled,
     squared_as_new,
     trimmed_refit,
     truncated_cost,
@@ -27,6 +25,7 @@ from camcal.estimate.poses.packed_correspondences import Group
 from camcal.estimate.poses.pose_quality import ResidualNoise
 from camcal.estimate.poses.problem import ROUNDING, Anchor, PoseProblems, anchors, lowest, pose_minima
 from camcal.estimate.poses.records import PoseOptions
+from camcal.estimate.poses.samples import Sampling, sampled
 from camcal.estimate.poses.starts import FEW
 from camcal.estimate.poses.states import Extents
 from camcal.solve.independent import Minima, joined
@@ -168,7 +167,7 @@ def _plain(group: Group, options: PoseOptions) -> PoseFit:
 
 def _from_samples(group: Group, options: PoseOptions, criterion: InlierCriterion) -> PoseFit:
     problems, extents = _problems(group, options), group.extents
-    found = _samples(problems, problems.view, options, criterion)
+    found = [_samples(problems, problems.view, options, criterion)]
     found.append(refit_inliers(problems, *anchors(problems), criterion))
     # of so few points, samples are few as well, and may all miss a plane's second pose
     few = np.flatnonzero(problems.counts <= FEW)
@@ -195,7 +194,7 @@ def _agreeing(fit: PoseFit, options: PoseOptions, criterion: InlierCriterion) ->
     chosen, minima = choose(problems, found, fit.extents, criterion)
     lost = np.flatnonzero((2 * chosen.counts < problems.counts) & (problems.counts >= _MIN_POINTS_FOR_OUTLIER))
     if few and lost.size:
-        found = reduce(RefitPoses.joined, _samples(problems, lost, options, criterion), found)
+        found = found.joined(_samples(problems, lost, options, criterion))
         chosen, minima = choose(problems, found, fit.extents, criterion)
     return fit.with_items(items, chosen, minima, found)
 
@@ -341,11 +340,8 @@ def _areas(group: Group, options: PoseOptions) -> Array:
     return np.asarray(total / np.maximum(count, 1))
 
 
-def _samples(
-    problems: PoseProblems, which: Array, options: PoseOptions, criterion: InlierCriterion
-) -> list[RefitPoses]:
-    sampling = Sampling(options.confidence, options.seed)
-    return [sampled(problems, problem, criterion, sampling) for problem in which.tolist()]
+def _samples(problems: PoseProblems, which: Array, options: PoseOptions, criterion: InlierCriterion) -> RefitPoses:
+    return sampled(problems, which, criterion, Sampling(options.confidence, options.seed))
 
 
 def _robust_noise(fits: Sequence[PoseFit]) -> float:

@@ -112,6 +112,20 @@ class PackedCorrespondences:
         squared = np.einsum("isn,isn->sn", left, left)
         return np.where(self.present[view], np.nan_to_num(squared, nan=np.inf), np.inf)
 
+    def sight_factors(self, scale: Array | float) -> Array:
+        """Return A (3, N, 13) of the first view: times the 12 numbers of a state [R t] and a one, A gives J y · scale
+        and d · y of points y in the camera, with their rays d and the derivatives J of whitened pixels at d.
+        """
+        seen = linearised(self.camera.model, self.camera.parameters, self.rays, self.pixels)
+        slopes = scale * whitened(self.whitening, seen.by_point)
+        rows = np.concatenate([slopes, self.rays[None]])[:, :, 0]
+        in_frame = np.einsum("ipn,pq->inq", rows, self.frame.rotation)
+        points = np.concatenate([self.points[:, 0], np.ones((1, self.points.shape[2]))])
+        factors = np.empty((3, points.shape[1], 13))
+        factors[:, :, :12] = np.einsum("inq,jn->inqj", in_frame, points).reshape(3, -1, 12)
+        factors[:, :, 12] = np.einsum("ipn,p->in", rows, self.frame.translation)
+        return factors
+
     def rows(self, states: Array, view: Array, mask: Array) -> tuple[Array, Array, Array]:
         """Return the whitened residuals behind their derivatives by the pose's step as (2, 7, S, N), zero outside the
         mask (S, N); the derivatives by the lens's parameters as (2, K, S, N), and the mask (S,) of states at which all
@@ -142,6 +156,10 @@ class PackedCorrespondences:
     def eye(self) -> Array:
         """The camera's place (3,) in the frame."""
         return self.inverse_frame[:, 3]
+
+    def in_frame(self, states: Array) -> Array:
+        """Return frame_T_object (S, 3, 4) of states camera_T_object."""
+        return se3.compose(self.inverse_frame, states) if self._turns or self.frame.translation.any() else states
 
     @cached_property
     def _turns(self) -> bool:

@@ -37,7 +37,7 @@ FEW = 5  # points for which every choice of three gives starts: noise may have t
 _LEAST = 4  # points below which only triplets give starts
 
 # poses that meet three points
-_POLISH = 3  # Newton steps on the distances
+_POLISH = 2  # Newton steps on the distances
 _FIRST, _SECOND = [0, 0, 1], [1, 2, 2]  # the corners that each edge joins
 _FITS = 1e-8  # of the longest edge squared
 _DOUBLE = 1e-9  # a discriminant this little below zero is a double root's rounding
@@ -163,53 +163,50 @@ def poses_of_triplets(rays: Array, points: Array) -> tuple[Array, Array]:
 
     rays: (T, 3, 3) unit, one a row. points: (T, 3, 3). Triplets in a line, or that no pose meets, have none.
     """
+    # the axis of the triplets comes last throughout: what is done to thousands of small matrices is done to few rows
+    rays, points = (np.ascontiguousarray(each.transpose(1, 2, 0)) for each in (rays, points))
     with np.errstate(all="ignore"):
-        edges = points[:, _FIRST] - points[:, _SECOND]
-        lengths = np.einsum("tei,tei->te", edges, edges)
-        cosines = np.einsum("tei,tei->te", rays[:, _FIRST], rays[:, _SECOND])
+        edges = points[_FIRST] - points[_SECOND]
+        lengths = np.sum(edges * edges, axis=1)
+        cosines = np.sum(rays[_FIRST] * rays[_SECOND], axis=1)
         # without a scale, nothing is too small or too large
-        unit = np.sqrt(lengths.max(axis=1, keepdims=True))
-        distances, triplet = _distances(lengths / unit**2, cosines)
-        distances = unit[triplet] * _polished(distances, (lengths / unit**2)[triplet], cosines[triplet])
-        states = _aligned(distances[:, :, None] * rays[triplet], points[triplet])
-        sound = np.all(distances > 0, axis=1) & np.isfinite(states).all(axis=(1, 2))
-    return states[sound], triplet[sound]
+        unit = lengths.max(axis=0)
+        lengths /= unit
+        distances, triplet = _distances(lengths, cosines)
+        distances = _polished(distances, lengths[:, triplet], cosines[:, triplet]) * np.sqrt(unit[triplet])
+        positive = np.flatnonzero((distances > 0).all(axis=0))
+        distances, triplet = distances[:, positive], triplet[positive]
+        states = _aligned(distances[:, None] * rays[:, :, triplet], points[:, :, triplet])
+        sound = np.isfinite(states).all(axis=(0, 1))
+    return np.ascontiguousarray(states.transpose(2, 0, 1)[sound]), triplet[sound]
 
 
 def _distances(lengths: Array, cosines: Array) -> tuple[Array, Array]:
-    """Return distances (S, 3) along the rays and their triplets (S,), from squared lengths (T, 3) of the edges."""
-    forms = np.zeros((len(lengths), 3, 3, 3))
+    """Return distances (3, S) along the rays and their triplets (S,), from squared lengths (3, T) of the edges."""
+    forms = np.zeros((3, 3, 3, lengths.shape[1]))
     for edge, (i, j) in enumerate(zip(_FIRST, _SECOND, strict=True)):
-        forms[:, edge, i, i] = forms[:, edge, j, j] = 1.0
-        forms[:, edge, i, j] = forms[:, edge, j, i] = -cosines[:, edge]
-    pencil = lengths[:, 2, None, None, None] * forms[:, :2] - lengths[:, :2, None, None] * forms[:, 2:]
-    x, y = _singular_member(pencil[:, 0], pencil[:, 1])
-    planes = _planes(x * pencil[:, 0] + y * pencil[:, 1])
-    directions = _lines(planes, x * pencil[:, 1] - y * pencil[:, 0]).reshape(-1, 3)
-    triplet = np.repeat(np.arange(len(lengths)), 4)
-    directions *= np.sign(directions.sum(axis=1, keepdims=True))
-    square = np.einsum("si,seij,sj->s", directions, forms[triplet], directions)
-    distances = directions * np.sqrt(lengths.sum(axis=1)[triplet] / square)[:, None]
-    sound = np.all(distances > 0, axis=1)
-    return distances[sound], triplet[sound]
+        forms[edge, i, i] = forms[edge, j, j] = 1.0
+        forms[edge, i, j] = forms[edge, j, i] = -cosines[edge]
+    first, second = (lengths[2] * forms[edge] - lengths[edge] * forms[2] for edge in (0, 1))
+    x, y = _singular_member(first, second)
+    directions = _lines(_planes(x * first + y * second), x * second - y * first)
+    directions *= np.sign(directions.sum(axis=0))
+    found = np.flatnonzero((directions > 0).all(axis=0))
+    directions, triplet = directions[:, found], found % lengths.shape[1]
+    square = _excess(directions, np.zeros((3, 1)), cosines[:, triplet]).sum(axis=0)
+    return directions * np.sqrt(lengths.sum(axis=0)[triplet] / square), triplet
 
 
 def _singular_member(first: Array, second: Array) -> tuple[Array, Array]:
-    """Return x, y (T, 1, 1), x² + y² = 1, for which x · first + y · second (T, 3, 3) has no inverse."""
+    """Return x, y (T,), x² + y² = 1, for which x · first + y · second (3, 3, T) has no inverse."""
     of_first, of_second = _adjugate(first), _adjugate(second)
-    coefficients = np.stack(
-        [
-            np.einsum("tij,tji->t", of_first, first) / 3,
-            np.einsum("tij,tji->t", of_first, second),
-            np.einsum("tij,tji->t", of_second, first),
-            np.einsum("tij,tji->t", of_second, second) / 3,
-        ]
-    )
+    # the forms and so their adjugates are symmetric
+    pairs = (of_first, first, 3), (of_first, second, 1), (of_second, first, 1), (of_second, second, 3)
+    coefficients = np.stack([np.sum(one * other, axis=(0, 1)) / of for one, other, of in pairs])
     turned = np.abs(coefficients[0]) < np.abs(coefficients[3])
     root = _isolated_root(np.where(turned, coefficients[::-1], coefficients))
     length = np.sqrt(1 + root * root)
-    x, y = np.where(turned, 1.0, root) / length, np.where(turned, root, 1.0) / length
-    return x[:, None, None], y[:, None, None]
+    return np.where(turned, 1.0, root) / length, np.where(turned, root, 1.0) / length
 
 
 def _isolated_root(coefficients: Array) -> Array:
@@ -229,72 +226,90 @@ def _isolated_root(coefficients: Array) -> Array:
     return np.asarray(root)
 
 
-def _planes(singular: Array) -> Array:
-    """Return bases (T, 2, 2, 3) of the two planes through the origin on which singular forms (T, 3, 3) vanish."""
-    values, vectors = np.linalg.eigh(np.nan_to_num(singular))
-    low, null, high = vectors.transpose(2, 0, 1)
-    of_low, of_high = (np.sqrt(np.maximum(value, 0.0))[:, None] for value in (-values[:, 0], values[:, 2]))
-    pair = [np.stack([null, of_low * high + sign * of_high * low], axis=1) for sign in (-1, 1)]
-    bases = np.stack(pair, axis=1)
-    return np.asarray(bases / np.linalg.norm(bases, axis=-1, keepdims=True))
+def _planes(singular: Array) -> tuple[Array, Array]:
+    """Return the normals (3, T) of the two planes through the origin on which singular forms (3, 3, T) vanish, NaN
+    without any.
+
+    The adjugate of l mᵀ + m lᵀ is -p pᵀ with p = l × m, and adding [p]× leaves 2 m lᵀ or 2 l mᵀ alone.
+    Source: Ding, Yang, Larsson, Olsson & Åström, Revisiting the P3P Problem, CVPR 2023.
+    """
+    adjugate, triplet = _adjugate(singular), np.arange(singular.shape[2])
+    largest = np.abs(np.einsum("iit->it", adjugate)).argmax(axis=0)
+    x, y, z = adjugate[:, largest, triplet] / np.sqrt(-adjugate[largest, largest, triplet])
+    of_rank_one = singular.copy()
+    for (row, column), value in zip(((1, 0), (0, 2), (2, 1)), (z, y, x), strict=True):
+        of_rank_one[row, column] += value
+        of_rank_one[column, row] -= value
+    row, column = np.divmod(np.abs(of_rank_one).reshape(9, -1).argmax(axis=0), 3)
+    return of_rank_one[:, column, triplet], of_rank_one[row, :, triplet].T
 
 
-def _lines(planes: Array, forms: Array) -> Array:
-    """Return the directions (T, 2, 2, 3) in planes (T, 2, 2, 3) on which forms (T, 3, 3) vanish, NaN without any."""
-    on_plane = planes @ forms[:, None] @ planes.swapaxes(-1, -2)
-    first, mixed, last = on_plane[..., 0, 0], on_plane[..., 0, 1], on_plane[..., 1, 1]
+def _lines(planes: tuple[Array, Array], forms: Array) -> Array:
+    """Return the directions (3, 4 T) in both planes of normals (3, T) on which forms (3, 3, T) vanish, NaN without
+    any.
+    """
+    normals, forms = np.concatenate(planes, axis=1), np.concatenate([forms, forms], axis=2)
+    along = _cross(normals, normals[[2, 0, 1]] * [[1.0], [-1.0], [1.0]])
+    along /= np.sqrt(np.sum(along * along, axis=0))
+    across = _cross(normals, along) / np.sqrt(np.sum(normals * normals, axis=0))
+    of_along, of_across = (np.sum(forms * axis, axis=1) for axis in (along, across))
+    pairs = (along, of_along), (along, of_across), (across, of_across)
+    first, mixed, last = (np.sum(one * other, axis=0) for one, other in pairs)
     square = mixed * mixed - first * last
     size = mixed * mixed + np.abs(first * last)
     square = np.where((square < 0) & (square > -_DOUBLE * size), 0.0, square)
     root = -(mixed + np.copysign(np.sqrt(square), mixed))
-    along = np.stack([np.stack([root, first], axis=-1), np.stack([last, root], axis=-1)], axis=-2)
-    return np.asarray(along @ planes)
+    return np.concatenate([root * along + first * across, last * along + root * across], axis=1)
 
 
 def _polished(distances: Array, lengths: Array, cosines: Array) -> Array:
-    """Return distances (S, 3) after Newton steps on the squared lengths (S, 3) of edges, NaN where they do not fit."""
+    """Return distances (3, S) after Newton steps on the squared lengths (3, S) of edges, NaN where they do not fit."""
     for _ in range(_POLISH):
-        one, two = distances[:, _FIRST], distances[:, _SECOND]
-        jacobian = np.zeros((len(distances), 3, 3))
-        rows = np.arange(3)
-        jacobian[:, rows, _FIRST] = 2 * (one - cosines * two)
-        jacobian[:, rows, _SECOND] = 2 * (two - cosines * one)
-        adjugate = _adjugate(jacobian)
-        determinant = np.einsum("si,si->s", jacobian[:, 0], adjugate[:, :, 0])
-        step = np.einsum("sij,sj->si", adjugate, _excess(distances, lengths, cosines)) / determinant[:, None]
+        one, two = distances[_FIRST], distances[_SECOND]
+        a, b = one - cosines * two, two - cosines * one  # half the derivatives of an edge by its distances
+        e = _excess(distances, lengths, cosines)
+        minor, of_last = e[1] * b[2] - b[1] * e[2], a[1] * b[2]
+        step = np.stack(
+            [
+                -e[0] * b[1] * a[2] - b[0] * minor,
+                a[0] * minor - e[0] * of_last,
+                a[1] * (e[0] * a[2] - b[0] * e[2]) - a[0] * e[1] * a[2],
+            ]
+        ) / (-2 * (a[0] * b[1] * a[2] + b[0] * of_last))
         distances = distances - np.where(np.isfinite(step), step, 0.0)
-    fits = np.abs(_excess(distances, lengths, cosines)).max(axis=1) < _FITS
-    return np.where(fits[:, None], distances, np.nan)
+    fits = np.abs(_excess(distances, lengths, cosines)).max(axis=0) < _FITS
+    return np.where(fits, distances, np.nan)
 
 
 def _excess(distances: Array, lengths: Array, cosines: Array) -> Array:
-    """Return by how much the squared lengths of the edges (S, 3) are too large."""
-    one, two = distances[:, _FIRST], distances[:, _SECOND]
+    """Return by how much the squared lengths of the edges (3, S) are too large."""
+    one, two = distances[_FIRST], distances[_SECOND]
     return np.asarray(one * one + two * two - 2 * cosines * one * two - lengths)
 
 
 def _aligned(seen: Array, points: Array) -> Array:
-    """Return the states (S, 3, 4) that take points (S, 3, 3), one a row, to congruent ones."""
+    """Return the states (3, 4, S) that take points (3, 3, S), one a row, to congruent ones."""
     axes = []
     for corners in (seen, points):
-        first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+        first, second = corners[1] - corners[0], corners[2] - corners[0]
         normal = _cross(first, second)
-        along = first / np.linalg.norm(first, axis=1, keepdims=True)
-        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-        axes.append(np.stack([along, normal, _cross(along, normal)], axis=2))
-    rotation = axes[0] @ axes[1].transpose(0, 2, 1)
-    moved = np.einsum("sij,sj->si", rotation, points.mean(axis=1))
-    return se3.stacked(rotation, seen.mean(axis=1) - moved)
+        first /= np.sqrt(np.sum(first * first, axis=0))
+        normal /= np.sqrt(np.sum(normal * normal, axis=0))
+        axes.append((first, normal, _cross(first, normal)))
+    states = np.empty((3, 4, seen.shape[2]))
+    states[:, :3] = sum(one[:, None] * other[None] for one, other in zip(*axes, strict=True))
+    states[:, 3] = seen.mean(axis=0) - np.sum(states[:, :3] * points.mean(axis=0), axis=1)
+    return states
 
 
 def _adjugate(matrices: Array) -> Array:
-    """Return the matrices (T, 3, 3) that give the determinant times the identity with `matrices`."""
-    rows = [matrices[:, row] for row in range(3)]
-    return np.stack([_cross(rows[1], rows[2]), _cross(rows[2], rows[0]), _cross(rows[0], rows[1])], axis=2)
+    """Return the matrices (3, 3, T) that give the determinant times the identity with `matrices`."""
+    first, second, third = matrices
+    return np.stack([_cross(second, third), _cross(third, first), _cross(first, second)], axis=1)
 
 
 def _cross(first: Array, second: Array) -> Array:
-    """Return first × second (S, 3): what numpy's own takes several times as long for."""
-    a, b, c = first.T
-    x, y, z = second.T
-    return np.stack([b * z - c * y, c * x - a * z, a * y - b * x], axis=1)
+    """Return first × second (3, S): what numpy's own takes several times as long for."""
+    a, b, c = first
+    x, y, z = second
+    return np.stack([b * z - c * y, c * x - a * z, a * y - b * x])

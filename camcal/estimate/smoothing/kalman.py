@@ -23,7 +23,7 @@ from camcal.messages import Message
 _LOG_2PI = float(np.log(2 * np.pi))
 
 CONSISTENT, OVERCONFIDENT, UNDERCONFIDENT = "consistent", "overconfident", "underconfident"
-NOT_JUDGED, AMBIGUOUS = "not judged", "ambiguous"
+CORRELATED, NOT_JUDGED, AMBIGUOUS = "correlated", "not judged", "ambiguous"
 _NEAR_ONE = 0.1  # a mean NIS this near to 1 means standard deviations right to 5 %: no reason to change anything
 _CONFIDENCE = 0.95
 _MANY = 0.08  # of innovations beyond their 95 % bound
@@ -136,8 +136,9 @@ class Consistency:
     innovations: how many. mean_nis: mean normalised innovation squared of one degree of freedom, 1 if all is right.
     interval: in which it lies with 95 % if all is right. beyond_95: share of innovations beyond their own 95 % bound.
     autocorrelation: of successive innovations, 0 if all is right; autocorrelation_limit: its 95 % bound.
-    verdict: consistent, overconfident, underconfident, not judged without innovations, or, of poses, ambiguous where
-    too many may be another pose. warning: what is wrong and what to do, None if all is right.
+    verdict: consistent, overconfident, underconfident, correlated where innovations of the right size are not
+    independent, not judged without innovations, or, of poses, ambiguous where too many may be another pose.
+    warning: what is wrong and what to do, None if all is right.
     """
 
     innovations: int
@@ -180,8 +181,7 @@ def consistency(nis: Array, dof: Array, pairs: tuple[Array, Array]) -> Consisten
     limits = {number: gate(number, _CONFIDENCE) for number in np.unique(dof).tolist()}
     beyond = float(np.mean(nis > [limits[number] for number in dof.tolist()]))
     correlation, limit = _autocorrelation(*pairs)
-    verdict = _verdict(mean, low, high)
-    least = max(limit, _NEAR_ONE)
+    verdict, least = _verdict(mean, low, high), max(limit, _NEAR_ONE)
     figures = {"mean_nis": mean, "autocorrelation": correlation, "beyond_95": beyond}
     warning = _warning(verdict, correlation > least, correlation < -least, beyond > _MANY)
     return Consistency(
@@ -191,7 +191,7 @@ def consistency(nis: Array, dof: Array, pairs: tuple[Array, Array]) -> Consisten
         beyond_95=beyond,
         autocorrelation=correlation,
         autocorrelation_limit=limit,
-        verdict=verdict,
+        verdict=CORRELATED if verdict == CONSISTENT and abs(correlation) > least else verdict,
         warning=None if warning is None else replace(warning, values=figures),
     )
 
@@ -225,7 +225,7 @@ def _verdict(mean: float, low: float, high: float) -> str:
 
 
 def _warning(verdict: str, lasting: bool, alternating: bool, many_large: bool) -> Message | None:
-    """Return what is wrong with the noise or the model, None if nothing is.
+    """Return what is wrong with the noise or the model, None if nothing is; options are those of `camcal smooth`.
 
     lasting: errors stay from step to step, a motion the model does not follow. alternating: they change sign from step
     to step, as where a filter follows the noise of its measurements. many_large: more innovations are beyond their
@@ -233,17 +233,17 @@ def _warning(verdict: str, lasting: bool, alternating: bool, many_large: bool) -
     """
     if verdict == OVERCONFIDENT:
         slow = lasting and not alternating
-        remedy = "process noise too low, increase q" if slow else "increase the measurement noise sigma"
+        remedy = "process noise too low, increase --q" if slow else "increase the measurement noise, --sigma"
         return Message("overconfident", f"innovations larger than their covariances: {remedy}")
     if alternating:
-        remedy = "reduce the process noise q" + (", increase sigma" if verdict == CONSISTENT else "")
+        remedy = "reduce the process noise, --q" + (", or increase --sigma" if verdict == CONSISTENT else "")
         return Message("filter_gain_too_high", f"filter gain too high: {remedy}")
     if verdict == UNDERCONFIDENT:
-        return Message("underconfident", "innovations smaller than their covariances: reduce sigma or q")
+        return Message("underconfident", "innovations smaller than their covariances: reduce --sigma or --q")
     if lasting:
-        return Message("correlated_innovations", "successive innovations are correlated: try another motion model")
+        return Message("correlated_innovations", "successive innovations are correlated: try another motion --model")
     if many_large:
-        return Message("heavy_tails", "too many large innovations for normal noise: use a robust loss")
+        return Message("heavy_tails", "too many large innovations for normal noise: use --robust huber")
     return None
 
 

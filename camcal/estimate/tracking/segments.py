@@ -9,7 +9,7 @@ first of them may have become any other, the piece goes on with that.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple, Protocol
 
@@ -113,7 +113,11 @@ class PoseMeasurements:
     @property
     def present(self) -> Array:
         """The mask (N,) of the frames with a candidate."""
-        return np.isfinite(self.penalties[:, 0])
+        return np.asarray(np.isfinite(self.penalties).any(axis=1))
+
+    def keeping(self, mask: Array) -> "PoseMeasurements":
+        """Return the measurements with the candidates of the mask (N, C) alone."""
+        return replace(self, penalties=np.where(mask, self.penalties, np.inf))
 
 
 def _candidates(estimate: FramePose) -> Iterator[tuple[Pose, Array, float]]:
@@ -174,6 +178,10 @@ class Segment:
     def frames(self) -> Array:
         """The indices (M,) of its frames."""
         return self.first + np.arange(len(self.run.growth))
+
+    def costs(self, outlier_cost: float) -> Array:
+        """Return -2 log likelihood (M,) of its frames, of those refused that of a detection that went wrong."""
+        return np.minimum(np.where(self.verdicts.accepted, self.verdicts.cost, outlier_cost), outlier_cost)
 
     @property
     def foretold(self) -> Array:

@@ -8,16 +8,28 @@ import numpy as np
 from camcal.arrays import Array, BoolArray, FloatArray, IntArray, readonly
 from camcal.brief import Brief
 from camcal.errors import InsufficientData, InvalidInput
-from camcal.estimate.smoothing.kalman import Consistency, consistency, successive
+from camcal.estimate.smoothing.kalman import AMBIGUOUS, Consistency, consistency, successive
+from camcal.estimate.tracking.flips import FAR
 from camcal.estimate.tracking.jitter import Jitter, JitterStd, jitter
 from camcal.estimate.tracking.pose_filter import FilterState, smoothed, smoothed_with_lag
 from camcal.estimate.tracking.process_noise import ProcessNoise, tuned
-from camcal.estimate.tracking.segments import LEAST, FramePose, GateOptions, PoseMeasurements, Segment, follow
+from camcal.estimate.tracking.segments import (
+    LEAST,
+    WINDOW,
+    FramePose,
+    GateOptions,
+    PoseMeasurements,
+    Segment,
+    follow,
+)
+from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose, inverse_jacobian
+from camcal.messages import Message
 
 MEASURED, PREDICTED, REJECTED, GAP = "measured", "predicted", "rejected", "gap"
 STATES = (MEASURED, PREDICTED, REJECTED, GAP)
 _OTHER_POSE_LIKELY = 0.01  # probability of another pose that is told
+_OFTEN = 0.03  # share of poses that may be wrong, on average, from which on a track is ambiguous
 
 
 @dataclass(frozen=True)
@@ -148,7 +160,48 @@ def track_poses(
     segments = follow(measurements, noise.densities, options.following)
     if not segments:
         raise no_track(poses)
-    return _assembled(frames, measurements, common_part(poses), noise, segments, options)
+    track = _assembled(frames, measurements, common_part(poses), noise, segments, options)
+    if options.lag is not None:
+        return track
+    track = replace(track, p_wrong=_chance_of_others(measurements, track, segments, options.following))
+    if track.consistency is None:
+        return track
+    return replace(track, consistency=or_ambiguous(track.consistency, float(np.nanmean(track.p_wrong))))
+
+
+def _chance_of_others(
+    measurements: PoseMeasurements, track: Track, segments: Sequence[Segment], following: GateOptions
+) -> Array:
+    """Return the probability (N,) that the other poses of the frames around each are the true ones, NaN without a pose.
+
+    A second track follows these. Motion and pixels both speak: each frame counts with the likelihood of its pose given
+    those before, over a window, as the true pose may be the other one for a while.
+    """
+    rotations = np.where(track.posed[:, None, None], track.rotations, np.eye(3))
+    near = so3.angle_between(rotations[:, None], measurements.rotations) < FAR
+    found = np.isfinite(measurements.penalties)
+    two = track.posed & (found & near).any(axis=1) & (found & ~near).any(axis=1)
+    rival = measurements.keeping(np.where(two[:, None], ~near, True))
+    cost = []
+    for seen, pieces in ((measurements, segments), (rival, follow(rival, track.noise.densities, following))):
+        each = np.full(len(seen), measurements.outlier_cost)
+        for piece in pieces:
+            each[piece.frames] = piece.costs(measurements.outlier_cost)
+        cost.append(each)
+    more = np.where(two, cost[1] - cost[0], 0.0)
+    total = np.concatenate([[0.0], np.cumsum(more)])
+    frames = np.arange(len(more))
+    lead = total[np.minimum(frames + WINDOW + 1, len(more))] - total[np.maximum(frames - WINDOW, 0)]
+    chance = np.where(two, 1 / (1 + np.exp(np.clip(lead / 2, -500, 500))), 0.0)
+    return np.where(track.posed, chance, np.nan)
+
+
+def or_ambiguous(judged: Consistency, share: float) -> Consistency:
+    """Return a check of innovations, or ambiguous poses: share, the mean probability of one that is off by over 10°."""
+    if share <= _OFTEN:
+        return judged
+    text = f"probability of a pose off by more than 10° is {100 * share:.0f} % on average; see the ambiguous intervals"
+    return replace(judged, verdict=AMBIGUOUS, warning=Message("ambiguous_poses", text, {"p_wrong": share}))
 
 
 def require_found(poses: Sequence[FramePose | None]) -> None:

@@ -1,14 +1,13 @@
 """Tracks from the pixels of single frames, in track segments, with a consistency check."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
 from camcal.arrays import Array
 from camcal.cameras.model import Camera
 from camcal.estimate.poses.records import Correspondences
-from camcal.estimate.smoothing.kalman import AMBIGUOUS, Consistency, consistency, successive
+from camcal.estimate.smoothing.kalman import Consistency, consistency, successive
 from camcal.estimate.tracking.flips import FAR
 from camcal.estimate.tracking.jitter import jitter
 from camcal.estimate.tracking.pixel_track import PixelTrack, track_pixels
@@ -23,13 +22,12 @@ from camcal.estimate.tracking.track import (
     at_poses,
     common_part,
     no_track,
+    or_ambiguous,
     require_found,
 )
 from camcal.geometry import rotation as so3
-from camcal.messages import Message
 
 _JUMP = 0.1, 0.35  # of the distance, and rad: what starts again with such a step is another piece
-_OFTEN = 0.03  # share of poses that may be wrong, on average, from which on a track is ambiguous
 
 
 def track_views(
@@ -133,10 +131,7 @@ def _judged_pixels(
     spread = np.sqrt(np.maximum(np.linalg.eigvalsh(covariances[used][:, 3:, 3:])[:, -1], 1e-18))
     doubt = np.maximum(p_wrong, followed.contradicted)[used]
     share = float(np.mean(1 - (1 - doubt) * (1 - _beyond(FAR / spread))))
-    if share <= _OFTEN:
-        return judged
-    text = f"probability of a pose off by more than 10° is {100 * share:.0f} % on average; see the ambiguous intervals"
-    return replace(judged, verdict=AMBIGUOUS, warning=Message("ambiguous_poses", text, {"p_wrong": share}))
+    return or_ambiguous(judged, share)
 
 
 def _beyond(ratio: Array) -> Array:

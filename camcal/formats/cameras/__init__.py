@@ -9,11 +9,11 @@ from importlib import import_module
 from math import ceil, floor, isfinite, log10
 from pathlib import Path
 from types import MappingProxyType
+from typing import TYPE_CHECKING
 
 from camcal import files
 from camcal.cameras.catalogue import MODELS
 from camcal.cameras.model import Camera
-from camcal.cameras.refit import Refit, refit
 from camcal.errors import InvalidInput
 from camcal.formats.camera_file import CameraEntry, CameraFile
 from camcal.formats.cameras.record import CameraFormat, Given, Source, expressed, lost_coefficients
@@ -21,6 +21,9 @@ from camcal.formats.plausibility import implausible
 from camcal.geometry.pose import frames_of
 from camcal.parsing import did_you_mean
 from camcal.progress import SILENT, Progress, warn_of
+
+if TYPE_CHECKING:
+    from camcal.cameras.refit import Refit
 
 OWN = "camcal"
 
@@ -135,7 +138,7 @@ class Prepared:
     """A camera file with lenses that a format has; refits: by the names of cameras, those that are not exact."""
 
     file: CameraFile
-    refits: Mapping[str, Refit]
+    refits: Mapping[str, "Refit"]
 
 
 def prepared(file: CameraFile, form: CameraFormat, where: str, max_error_px: float | None = None) -> Prepared:
@@ -159,8 +162,10 @@ def prepared(file: CameraFile, form: CameraFormat, where: str, max_error_px: flo
     return Prepared(replace(file, cameras=entries), refits)
 
 
-def _nearest(camera: Camera, name: str, form: CameraFormat, max_error_px: float | None, where: str) -> Refit:
+def _nearest(camera: Camera, name: str, form: CameraFormat, max_error_px: float | None, where: str) -> "Refit":
     """Return the nearest lens of a format's models; raises InvalidInput if it is off by more than is accepted."""
+    from camcal.cameras.refit import refit
+
     family = [MODELS[model] for model in form.models if type(MODELS[model]) is type(camera.model)]
     if not family:
         what = f"{name}: {camera.model.name} cannot be written to {form.title}"

@@ -9,8 +9,6 @@ from camcal.cameras.model import Camera
 from camcal.errors import InvalidInput
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
-from camcal.images.options import ViewOptions
-from camcal.images.views import make_view
 
 _WIDEST = np.tan(np.radians(80))  # rays farther from the axis do not count in where the view's centre lies
 _SAMPLES = 9  # a side of the image
@@ -45,6 +43,9 @@ def of_one(camera: Camera) -> Rectified:
     """Return R = 1 and P = [K | 0]; of a fisheye P is that of a pinhole view, as wide as one can be without black."""
     view = camera
     if camera.model.name == "kannala_brandt4":
+        from camcal.images.options import ViewOptions
+        from camcal.images.views import make_view
+
         try:
             view = make_view(camera, ViewOptions())
         except InvalidInput:  # more than a pinhole holds

@@ -99,12 +99,21 @@ class DetectionOptions(OptionsRecord):
     ] = "drop"
 
 
-_GATES = {"pose_rms": "--max-rms", "pose_ambiguity": "--max-ambiguity", "pose_inliers": "--min-inliers"}
+CONSISTENT = "consistent"
+INCONSISTENT = ("other_camera", "residuals_exceed_noise")
+_GATES = {
+    **dict.fromkeys(INCONSISTENT, f"--require {CONSISTENT}"),
+    "pose_rms": "--max-rms",
+    "pose_ambiguity": "--max-ambiguity",
+    "pose_inliers": "--min-inliers",
+}
 
 
 @dataclass(frozen=True)
 class Gates(OptionsRecord):
-    """What poses must hold: the largest RMS (px), the largest probability of being wrong, the fewest inliers."""
+    """What poses must hold: the largest RMS (px), the largest probability of being wrong, the fewest inliers; require:
+    that the residuals are as large as the noise says.
+    """
 
     max_rms: Annotated[
         float | None, Option("Exit with 7 if the RMS of the residuals of a pose is larger.", metavar="PX", group=CHECKS)
@@ -117,6 +126,16 @@ class Gates(OptionsRecord):
     ] = None
     min_inliers: Annotated[
         int | None, Option("Exit with 7 if a pose has fewer inliers.", metavar="N", group=CHECKS, least=1)
+    ] = None
+    require: Annotated[
+        str | None,
+        Option(
+            "Exit with 7 if the residuals exceed the noise that is given, or that detection and calibration expect: "
+            "the camera file may be of another camera. The poses are written all the same.",
+            metavar=CONSISTENT,
+            group=CHECKS,
+            choices=(CONSISTENT,),
+        ),
     ] = None
 
     def __post_init__(self) -> None:

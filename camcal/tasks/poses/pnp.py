@@ -29,7 +29,7 @@ from camcal.run.outputs import writes
 from camcal.tasks.calibration.board_views import is_table
 from camcal.tasks.given_camera import outside_region, read_camera_file, require_no_image
 from camcal.tasks.poses import pnp_records
-from camcal.tasks.poses.options import AUTO, Gates, PnpOptions, PriorOptions
+from camcal.tasks.poses.options import AUTO, INCONSISTENT, Gates, PnpOptions, PriorOptions
 from camcal.tasks.poses.pnp_observer import Observer, Sheet, draw, joined, seen_by_rig, sheets, videos_in
 from camcal.tasks.poses.pnp_records import record_of, typical_sigma
 from camcal.tasks.poses.pnp_views import Observation, PnpViews, first_size, seen_by
@@ -53,8 +53,9 @@ class PnpReport:
     camera: Camera | None = None
 
     def require_good(self, gates: Gates) -> None:
-        """Raise GateFailed with the failures of each pose that does not pass."""
-        found = [
+        """Raise GateFailed with the failures of all poses together and of each that does not pass."""
+        found = [each for each in self.warnings if gates.require and each.code in INCONSISTENT]
+        found += [
             each.at(pose_key) for pose_key, record in self.poses.estimates.items() for each in gates.failures(record)
         ]
         if found:
@@ -239,7 +240,8 @@ def _warnings(
     settings: PoseOptions,
 ) -> list[Message]:
     estimates = list(found.values())
-    warnings = pnp_records.of_noise(estimates, observations, observer.noise_px)
+    expected = seen.spread == "detected" and bool(observer.noise_px or observer.model_errors_px)
+    warnings = pnp_records.of_noise(estimates, observations, observer.noise_px, expected=expected)
     warnings += pnp_records.of_outliers(estimates, observations)
     if seen.unit == "m":
         warnings += pnp_records.of_units(estimates, observations)

@@ -22,6 +22,7 @@ _SUSPICIOUS_PX = 1.0  # RMS; less may be noise
 _BETTER = 0.5  # share of the RMS that is left if the lens is the cause
 _MOST_TRIED = 20  # views, to find that out
 _TOO_LARGE, _UNLIKELY = 1.5, 1e-3  # times the noise that is given, and by chance
+_OTHER_CAMERA = 2.0  # times what detection and calibration expect; uncertain lenses leave up to 1.64 in new views
 _LITTLE = 10  # degrees of freedom; a standard deviation from fewer is off by a quarter and more
 
 
@@ -141,17 +142,29 @@ def _is_mixed(observation: Observation) -> bool:
 
 
 def of_noise(
-    estimates: Sequence[PoseEstimate], observations: Sequence[Observation], calibrated_px: float | None
+    estimates: Sequence[PoseEstimate],
+    observations: Sequence[Observation],
+    calibrated_px: float | None,
+    *,
+    expected: bool = False,
 ) -> list[Message]:
-    """Return a warning of a noise that was estimated from little, or of a given one that the residuals exceed.
+    """Return a warning of a noise that was estimated from little, or of a known one that the residuals exceed.
 
-    calibrated_px: what the camera file says of it.
+    calibrated_px: what the camera file says of it. expected: whether the pixels' covariances are those that detection
+    and the calibration of the camera expect.
     """
     estimate = estimates[0]
     if estimate.degrees_of_freedom is None:
         return _of_given_noise(estimates, observations)
     if estimate.degrees_of_freedom >= _LITTLE:
-        return []
+        times = estimate.noise_scale
+        if not expected or times < _OTHER_CAMERA or not _unlikely(times, estimate.degrees_of_freedom):
+            return []
+        text = (
+            f"residuals are {times:.2g} x the noise that detection and calibration expect: the camera file may be of "
+            "another camera, focus or zoom"
+        )
+        return [Message("other_camera", text, {"ratio": float(times)})]
     known = f" (calibration: {calibrated_px:.2g} px)" if calibrated_px else ""
     text = (
         f"noise and standard deviations from {estimate.degrees_of_freedom} degrees of freedom only: set --noise{known}"
@@ -160,16 +173,24 @@ def of_noise(
 
 
 def _of_given_noise(estimates: Sequence[PoseEstimate], observations: Sequence[Observation]) -> list[Message]:
-    from scipy.stats import chi2
-
     pairs = list(zip(estimates, observations, strict=True))
     squares = sum(float(squared(each.residuals, observation)[each.inliers].sum()) for each, observation in pairs)
     dof = sum(2 * each.used - 6 for each in estimates)
     times = np.sqrt(squares / max(dof, 1)) / estimates[0].noise_scale
-    if times < _TOO_LARGE or chi2.sf(dof * times**2, max(dof, 1)) > _UNLIKELY:
+    if times < _TOO_LARGE or not _unlikely(times, dof):
         return []
-    text = f"residuals are {times:.2g} x the given noise (a-posteriori scale): standard deviations are too small"
+    text = (
+        f"residuals are {times:.2g} x the given noise (a-posteriori scale): standard deviations are too small, or the "
+        "camera file is of another camera"
+    )
     return [Message("residuals_exceed_noise", text, {"ratio": float(times)})]
+
+
+def _unlikely(times: float, dof: int) -> bool:
+    """Return whether residuals are so many times their noise by chance in one of a thousand cases at most."""
+    from scipy.special import chdtrc
+
+    return bool(chdtrc(max(dof, 1), dof * times**2) <= _UNLIKELY)
 
 
 def of_outliers(estimates: Sequence[PoseEstimate], observations: Sequence[Observation]) -> list[Message]:

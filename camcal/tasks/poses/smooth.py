@@ -8,6 +8,7 @@ import numpy as np
 from camcal import files
 from camcal.arrays import Array
 from camcal.errors import InvalidInput
+from camcal.estimate.smoothing.kalman import NOT_JUDGED
 from camcal.estimate.smoothing.poses import PosesOptions, SmoothedPoses, poses_at, smooth_poses
 from camcal.estimate.smoothing.series import Series, SeriesOptions, SmoothedSeries, series_at, smooth_series
 from camcal.estimate.trajectory_error import TrajectoryError, trajectory_error
@@ -27,6 +28,10 @@ from camcal.tasks.poses.smoothing import Outlier, Smoothing, wanted_stamps
 
 _TABLE_SUFFIX = ".csv"
 _PARTS = ("translation", "rotation")
+_SMOOTHED_ALREADY = Message(
+    "smoothed_already",
+    "poses are smoothed already (they have velocities), their errors are correlated: smooth the measured poses instead",
+)
 _AXES = ("tx, m", "ty, m", "tz, m", "rx, rad", "ry, rad", "rz, rad")
 
 
@@ -196,6 +201,9 @@ def smooth_trajectory(options: SmoothOptions, progress: Progress) -> Smoothing:
             options.plot, encoded(over_time(_pose_panels(measured, smoothed, shown)), options.plot.suffix)
         )
     found = _of_poses(options, measured, smoothed, shown, (errors[0], errors[1]))
+    if measured.velocities is not None:  # which only a filter knows
+        judged = replace(found.consistency, verdict=NOT_JUDGED, warning=_SMOOTHED_ALREADY)
+        found = replace(found, consistency=judged)
     if options.figures.folder is None:
         return found
     drawn = trajectory_plots(path_of(shown, reference, options.comparison))

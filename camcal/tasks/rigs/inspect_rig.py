@@ -15,9 +15,7 @@ from camcal.formats import boards
 from camcal.formats.camera_file import CameraFile, rig_of
 from camcal.formats.schema import items, mapping, number
 from camcal.geometry.pose import Pose
-from camcal.images.image_circle import evenly_spaced
 from camcal.quality.rig_geometry import PairGeometry, pair_geometry
-from camcal.report.rig_scene import colour_name, rig_scene
 from camcal.targets.board import Board
 
 SUFFIXES = (".png", ".html")
@@ -100,9 +98,11 @@ def _boards(file: CameraFile, rig: Rig) -> Iterator[Pose]:
 
 def draw_rig(found: RigInspection, output: Path) -> None:
     """Write the picture of a rig, or the page that shows it from all sides; raises FileError."""
+    from camcal.images.image_circle import evenly_spaced
     from camcal.report.cloud_pictures import montage
     from camcal.report.cloud_view import Start, page
     from camcal.report.colour_scale import paint_of
+    from camcal.report.rig_scene import rig_scene
 
     chosen = evenly_spaced(len(found.boards), _MOST_BOARDS)
     scene = rig_scene(found.rig, [found.boards[index] for index in chosen], found.board, found.circles)
@@ -116,6 +116,8 @@ def draw_rig(found: RigInspection, output: Path) -> None:
 
 def colour_words(found: RigInspection) -> str:
     """Return which camera has which colour in the picture."""
+    from camcal.report.rig_scene import colour_name
+
     return ", ".join(f"{name} {colour_name(index)}" for index, name in enumerate(found.rig.cameras))
 
 

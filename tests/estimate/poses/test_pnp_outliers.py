@@ -1,5 +1,6 @@
 """Poses where points are wrong: against the fit to the right ones alone, on the same trials."""
 
+from dataclasses import fields as dataclass_fields
 from dataclasses import replace
 from math import comb
 
@@ -11,7 +12,7 @@ from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.errors import InsufficientData
 from camcal.estimate.pnp import estimate_poses
-from camcal.estimate.poses import fits, inliers, pose_quality
+from camcal.estimate.poses import fits, inliers, pose_quality, samples
 from camcal.estimate.poses import states as se3
 from camcal.estimate.poses.inliers import likeliest_threshold
 from camcal.estimate.poses.packed_correspondences import Group, PackedCorrespondences
@@ -132,6 +133,45 @@ def test_the_same_seed_gives_the_same_pose_in_any_company():
         np.testing.assert_array_equal(alone.inliers, outcome.value.inliers)
 
 
+PINHOLE_TYPE = type(PINHOLE.model)
+
+
+class CountingPinhole(PINHOLE_TYPE):
+    """A pinhole that notes how many points it projects."""
+
+    projected = 0
+
+    def project(self, parameters, points):
+        CountingPinhole.projected += len(points)
+        return super().project(parameters, points)
+
+
+def test_samples_are_scored_without_projecting_every_point_by_every_pose():
+    rng, points = np.random.default_rng(41), 100
+    model = CountingPinhole(
+        **{each.name: getattr(PINHOLE.model, each.name) for each in dataclass_fields(PINHOLE.model)}
+    )
+    camera = replace(PINHOLE, model=model)
+    view, right, truth = spoilt(camera, rng, rng.uniform(-0.5, 0.5, (points, 3)), 0.8)
+    CountingPinhole.projected = 0
+    found = estimate(camera, view, noise_px=1.0, outliers="many")
+    assert found.inliers[right].all()
+    assert np.linalg.norm(error_of(found.transform, truth)) < 0.05
+    assert CountingPinhole.projected < 200 * points  # about 1000 triplets are drawn, each of which has two poses
+
+
+def test_scores_of_samples_are_the_truncated_errors_through_the_lens():
+    rng, criterion = np.random.default_rng(42), inliers.InlierCriterion(WIDTH, 4)
+    frame = Pose.from_vector(np.array([0.1, -0.2, 0.3]), np.array([0.2, -0.1, 0.05]))
+    view, _, truth = spoilt(FISHEYE, rng, rng.uniform(-0.5, 0.5, (60, 3)), 0.5)
+    view = replace(view, covariance=np.tile([[0.5, 0.2], [0.2, 1.5]], (60, 1, 1)))
+    problems = PoseProblems.of((PackedCorrespondences.of(FISHEYE, [view], frame),))
+    states = se3.retract(np.repeat(se3.of_poses([frame.inverse() @ truth]), 30, axis=0), rng.normal(0, 2e-3, (30, 6)))
+    search = samples._Search.of(problems, 0, criterion, seed=0)
+    exact = 2 * inliers.truncated_cost(problems, states, np.zeros(30, int), criterion)
+    np.testing.assert_allclose(search.scorer.scores(states), exact, rtol=0.01)  # first order in residuals of 3 px
+
+
 def test_points_and_pixels_that_do_not_belong_together_are_refused_or_weak():
     rng = np.random.default_rng(8)
     for count in (8, 20):
@@ -214,7 +254,7 @@ def test_the_variance_that_a_cut_leaves_is_that_of_normal_coordinates():
 
 
 def test_triplets_have_three_different_points_and_all_are_as_likely():
-    found = inliers._triplets(np.arange(10, 15), 30_000, np.random.default_rng(3))
+    found = samples._triplets(np.arange(10, 15), 30_000, np.random.default_rng(3))
     triplets, counts = np.unique(found, axis=0, return_counts=True)
     assert len(triplets) == 5 * 4 * 3
     assert all(len(set(triplet)) == 3 for triplet in triplets.tolist())

@@ -100,7 +100,7 @@ def test_errors_that_last_are_laid_to_the_motion(rng):
     steady = np.convolve(rng.normal(size=3000), np.ones(10) / 2, mode="same")[:, None]
     report = consistency(steady[:, 0] ** 2, np.ones(3000), successive(steady, np.zeros(3000)))
     assert report.autocorrelation > 0.5
-    assert "increase q" in report.warning.text
+    assert "increase --q" in report.warning.text
 
 
 @pytest.mark.parametrize(("sigma", "q"), [(1.0, 100.0), (0.7, 100.0), (0.3, 100.0)])
@@ -118,7 +118,17 @@ def test_a_gain_that_is_too_high_is_told_by_innovations_that_change_sign(rng, si
     assert report.verdict == "underconfident"
     assert report.autocorrelation < -0.4  # of differences of white noise: -0.5
     assert report.warning.code == "filter_gain_too_high"
-    assert "reduce the process noise q" in report.warning.text
+    assert "reduce the process noise, --q" in report.warning.text
+
+
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_innovations_of_the_right_size_that_are_correlated_are_not_consistent(rng, sign):
+    white = rng.normal(size=1501)
+    series = (0.9 * white[1:] + sign * np.sqrt(0.19) * white[:-1])[:, None]  # variance 1
+    report = consistency(series[:, 0] ** 2, np.ones(1500), successive(series, np.zeros(1500)))
+    assert report.mean_nis == pytest.approx(1, abs=0.15)  # 4 σ
+    assert report.verdict == "correlated"
+    assert report.warning.code == ("filter_gain_too_high" if sign < 0 else "correlated_innovations")
 
 
 def test_innovations_are_paired_within_their_chain_over_what_is_missing():

@@ -10,7 +10,11 @@ import numpy as np
 import pytest
 from moving_objects import NOISE, errors, glances
 
+from camcal.cameras.catalogue import model_named
+from camcal.cameras.model import Camera
 from camcal.errors import InsufficientData, InvalidInput
+from camcal.estimate.pnp import estimate_poses
+from camcal.estimate.poses.records import Correspondences, PoseOptions
 from camcal.estimate.tracking.process_noise import ProcessNoise
 from camcal.estimate.tracking.segments import GateOptions
 from camcal.estimate.tracking.track import GAP, MEASURED, PREDICTED, REJECTED, TrackOptions, track_poses
@@ -66,6 +70,36 @@ def test_innovations_are_white_and_of_the_size_that_is_claimed():
     assert judged.verdict == "consistent"
     assert judged.mean_nis == pytest.approx(1.0, abs=0.14)  # 3 standard errors of 1000 squares
     assert abs(judged.autocorrelation) < 0.1
+
+
+def small_tag(seed, frames=150):
+    """Return stamps, rotations and the poses of single frames of a tag of 22 px at 4 m, with both of its poses."""
+    rng, stamps, focal = np.random.default_rng(seed), np.arange(frames) / 30, 880.0
+    camera = Camera(model_named("pinhole"), (1280, 960), np.array([focal, focal, 640.0, 480.0]))
+    corners = 0.05 * np.array([[-1.0, 1, 0], [1, 1, 0], [1, -1, 0], [-1, -1, 0]])
+    waves = np.sin(stamps[:, None] * rng.uniform(0.3, 1.5, 6) + rng.uniform(0, 6, 6))
+    rotations = so3.exp(waves[:, :3] * 0.3) @ so3.about_x(np.pi - 0.2)
+    seen = np.einsum("nij,pj->npi", rotations, corners) + (waves[:, 3:] * [0.5, 0.3, 0.2] + [0, 0, 4.0])[:, None]
+    pixels = focal * seen[..., :2] / seen[..., 2:] + [640, 480] + rng.normal(0, 0.5, (frames, 4, 2))
+    views = [Correspondences(str(frame), corners, each) for frame, each in enumerate(pixels)]
+    return stamps, rotations, [one.value for one in estimate_poses(camera, views, PoseOptions(noise_px=0.5))]
+
+
+@pytest.mark.parametrize("seed", [6, 7, 8])
+def test_a_track_of_poses_that_may_follow_the_mirrored_ones_says_with_which_probability(seed):
+    stamps, rotations, poses = small_tag(seed)
+    track = track_poses(stamps, poses)
+    wrong = so3.angle_between(track.rotations, rotations) > np.radians(10)
+    assert track.consistency.verdict == "ambiguous"
+    assert track.ambiguous
+    assert np.mean(wrong & (track.p_wrong < 0.01)) < 0.3  # all are where nothing is said
+
+
+def test_a_track_of_poses_without_a_doubt_is_not_called_ambiguous():
+    truth, rng = drift()
+    track = follow(truth, glances(truth, rng))
+    assert track.ambiguous == []
+    assert track.consistency.verdict != "ambiguous"
 
 
 def test_noise_larger_than_claimed_is_called_overconfident():
