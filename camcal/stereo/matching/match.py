@@ -20,7 +20,6 @@ from camcal.stereo.matching.matchers import (
     single_matcher,
     textured,
 )
-from camcal.stereo.matching.planes import on_planes
 from camcal.stereo.matching.preparation import GrayPair, Masks, Prepared, prepare
 from camcal.stereo.matching.pyramid import coarse_to_fine, needs_levels
 from camcal.stereo.matching.uncertainty import (
@@ -128,22 +127,11 @@ def estimated(prepared: Prepared, quality: str, each: Each = one_by_one) -> Esti
     found = textured(_found(prepared, quality, each), prepared.pair.left)
     filled = from_the_background(found.disparity)
     dense = everywhere(filled.disparity)
-    if quality == BEST:
-        filled, dense = _with_planes(found, filled, dense, prepared.pair)
     large = needs_levels(prepared.pair, prepared.count)
     dense = without_spikes(dense) if quality == FAST else smoothed(dense, quick=large)
     step = _REDUCED if quality == FAST else _REDUCED_LARGE if large else 1
     evidence = evidence_of(*reduced(prepared.pair, found, filled, dense, step))
     return Estimate(dense, found.confidence, filled, found.end, evidence, step)
-
-
-def _with_planes(found: Fused, filled: Filled, dense: Array, pair: GrayPair) -> tuple[Filled, Array]:
-    """Return what is filled and the dense map, with planes in gaps.
-
-    Choice and distance stay those of the filling: planes fail seldom, but by much.
-    """
-    planes = on_planes(found, dense, pair)
-    return filled._replace(disparity=np.where(planes == dense, filled.disparity, planes)), planes
 
 
 def _found(prepared: Prepared, quality: str, each: Each) -> Fused:
