@@ -39,7 +39,7 @@ class MatchOptions(OptionsRecord):
 
     quality: fast, balanced or best. search: smallest and largest disparity, pixels, None for what the images show.
     fill: none; background, in rows where something is matched; all. align_rows: put the rows of the right image right
-    if they are measurably off; None: unless quality is fast. expose_alike: bring it to the left one's exposure.
+    if they are measurably off; None: unless quality is fast. expose_alike: bring both images to one exposure.
     """
 
     quality: Annotated[
@@ -78,7 +78,7 @@ class MatchOptions(OptionsRecord):
     expose_alike: Annotated[
         bool,
         Option(
-            "Match the exposure of the right image to the left.",
+            "Correct exposure differences that matched pixels show.",
             metavar="auto|off",
             names="--exposure",
             type=_word(_EXPOSURES),

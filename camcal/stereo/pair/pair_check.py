@@ -37,7 +37,8 @@ _TURNED = 0.5  # share of the features that are turned alike
 class Exposure:
     """How the right image's counts come from the left one's: gain · 255 · (left / 255)^gamma + offset.
 
-    brightness: by how much the right image is brighter, 0.1 for 10 %. scatter: counts about the curve.
+    brightness: by how much the right image is brighter, 0.1 for 10 %. scatter: counts about the curve, `apart` without
+    it. moved: counts by which the curve changes those of the matches, RMS.
     """
 
     brightness: Measured
@@ -45,6 +46,12 @@ class Exposure:
     offset: float
     gamma: float
     scatter: float
+    apart: float
+    moved: float
+
+    def curve(self, counts: Array) -> Array:
+        """Return what counts (N,) of the left image are in the right one."""
+        return np.asarray(self.gain * 255 * (counts / 255) ** self.gamma + self.offset)
 
     @property
     def differs(self) -> bool:
@@ -105,7 +112,7 @@ def check_pair(left: Array, right: Array, farthest: float = 0.0, *, upright: boo
     return PairCheck(
         residual,
         PERIODIC if periodic else failure_of(residual, farthest),
-        exposure_of(left, right, residual),
+        exposure_of(left, right, residual.pixels, residual.partners),
         disparities,
         (float(low), float(high)),
         range_in(coarse, left.shape[1]),
@@ -140,12 +147,12 @@ def _wrapped(angles: Array) -> Array:
     return np.asarray((angles + np.pi) % (2 * np.pi) - np.pi)
 
 
-def exposure_of(left: Array, right: Array, residual: Residual) -> Exposure | None:
-    """Return how the exposures of a pair differ; None where too few features lie between black and white.
+def exposure_of(left: Array, right: Array, pixels: Array, partners: Array) -> Exposure | None:
+    """Return how the exposures of a pair differ; None where too few matches lie between black and white.
 
-    left, right: (H, W) uint8.
+    left, right: (H, W) uint8. pixels, partners: (N, 2) of the left image, and where they are in the right one.
     """
-    windows = _windows(left, residual.pixels), _windows(right, residual.partners)
+    windows = _windows(left, pixels), _windows(right, partners)
     whole = np.logical_and(*((_ENDS[0] < part.min(axis=1)) & (part.max(axis=1) < _ENDS[1]) for part in windows))
     if whole.sum() < _FEWEST:
         return None
@@ -154,7 +161,10 @@ def exposure_of(left: Array, right: Array, residual: Residual) -> Exposure | Non
     best = int(np.argmin([scatter for _, scatter, _ in fits]))
     (gain, offset), scatter, weights = fits[best]
     kept = weights > 0
-    return Exposure(_brightness(first[kept], second[kept]), gain, offset, float(_GAMMAS[best]), scatter)
+    first, second = first[kept], second[kept]
+    exposure = Exposure(_brightness(first, second), gain, offset, float(_GAMMAS[best]), scatter, apart=0.0, moved=0.0)
+    apart = _NORMAL * float(np.median(np.abs(second - first)))
+    return replace(exposure, apart=apart, moved=float(np.sqrt(np.mean((exposure.curve(first) - first) ** 2))))
 
 
 def _windows(gray: Array, pixels: Array) -> Array:
