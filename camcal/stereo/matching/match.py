@@ -48,7 +48,7 @@ def match(left: Array, right: Array, options: MatchOptions | None = None, each: 
     depend on one another. Raises InvalidInput for images of different sizes.
     """
     options = options or MatchOptions()
-    prepared = prepare(left, right, options.search, align=options.aligns, expose=options.expose_alike)
+    prepared = prepare(left, right, options.search, align=options.align_rows, expose=options.expose_alike)
     return match_prepared(prepared, options, each)
 
 
@@ -66,7 +66,9 @@ def match_prepared(prepared: Prepared, options: MatchOptions, each: Each = one_b
         values, sigma = np.where(keep, values, nothing), np.where(keep, sigma, nothing)
         confidence = confidence * keep  # Confidence.NONE is 0
     searched = prepared.first, prepared.first + prepared.count - 1
-    return Disparity(values, sigma, confidence, searched, _at_ends(estimate.end))
+    return Disparity(
+        values, sigma, confidence, searched, _at_ends(estimate.end[estimate.confidence > Confidence.FILLED])
+    )
 
 
 def within(disparity: Disparity, valid: Masks) -> Disparity:
@@ -87,8 +89,8 @@ def within(disparity: Disparity, valid: Masks) -> Disparity:
 
 
 def _at_ends(end: Array) -> tuple[float, float]:
-    """Return the shares of -1 and of 1 among pixels."""
-    return float(np.mean(end < 0)), float(np.mean(end > 0))
+    """Return the shares of -1 and of 1 among matches (N,)."""
+    return (float(np.mean(end < 0)), float(np.mean(end > 0))) if end.size else (0.0, 0.0)
 
 
 def _weights(prepared: Prepared, quality: str) -> Weights:

@@ -13,9 +13,9 @@ from camcal.stereo.pair.coarse import CoarseMap, coarse_map, default_range, rang
 from camcal.stereo.pair.pair_check import SWAPPED, exposure_of, failure_of
 
 _DARKEST, _BRIGHTEST = 0.1, 99.9  # percentiles of deep images that become 0 and 255
-_DIFFERENT = 3.0  # gray levels of 255, RMS; where two exposures differ by less, correcting them gains nothing
+_DIFFERENT = 5.0  # gray levels of 255, RMS; where two exposures differ by less, correcting them gains nothing
 _EXPLAINED = 0.5  # share of the difference of matched pixels that may be left; what is no exposure leaves nearly all
-_COMPARED = 1000  # matches that exposures are compared at
+_COMPARED = 500  # matches that exposures are compared at
 _MOST = 1 << 18  # pixels that ranges of gray levels are taken from
 _LEAST_SPAN = 1e-30  # of brightness; keeps the numbers of float images finite where all pixels are alike
 _NOISE_SIDE = 256  # pixels: half the side of the square in the middle whose noise is measured

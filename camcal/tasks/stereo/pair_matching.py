@@ -121,7 +121,7 @@ def _matched(left: Array, right: Array, matching: MatchOptions, jobs: int | None
         left,
         right,
         matching.search,
-        align=matching.aligns,
+        align=matching.align_rows,
         expose=matching.expose_alike,
         farthest=images.known.farthest,
     )

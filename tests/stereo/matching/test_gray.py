@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 import pytest
-from textured import darker, noisy, textured_pair
+from textured import noisy, textured_pair
 
 from camcal.errors import InvalidInput
 from camcal.stereo.matching.preparation import gray_pair, noise_of

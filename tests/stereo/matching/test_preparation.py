@@ -29,12 +29,6 @@ def test_a_wall_that_only_one_camera_shows_is_no_exposure():
     np.testing.assert_array_equal(pair.right, right)
 
 
-def test_images_that_share_nothing_keep_their_exposure():
-    left, right = textured_pair(waves(12, 30))
-    other = darker(textured_pair(waves(12, 30), seed=8)[1])
-    np.testing.assert_array_equal(prepare(left, other).pair.right, other)
-
-
 def test_a_range_all_behind_infinity_is_a_failure_without_alignment():
     left, right = textured_pair(waves(12, 30))
     assert prepare(right, left, align=False).failures == (SWAPPED,)
