@@ -90,13 +90,11 @@ def test_another_exposure_costs_little(real_data, name):
     assert bad2(real_data, name, exposed) <= 1.2 * bad2(real_data, name, found_in(real_data, name))
 
 
-def test_noise_of_five_gray_levels_is_survived(real_data):
-    errors = []
-    for name in (CONES, TEDDY):
-        left, right = pair_of(real_data, name)
-        found = match(noisy(left), noisy(right, seed=3), MatchOptions(fill=ALL))
-        errors.append(bad2(real_data, name, found))
-    assert np.mean(errors) <= 6.0  # padded three-way matching alone has 10.9 on such pairs
+@pytest.mark.parametrize(("name", "most"), [(CONES, 3.4), (TEDDY, 6.8), (MOTORCYCLE, 6.4)])
+def test_noise_of_five_gray_levels_is_survived(real_data, name, most):
+    left, right = pair_of(real_data, name)
+    found = match(noisy(left), noisy(right, seed=3), MatchOptions(fill=ALL))
+    assert bad2(real_data, name, found) <= most  # eight paths, padded and filled, have 4.8, 11.9 and 10.9
 
 
 @pytest.mark.parametrize("quality", [BALANCED, BEST])

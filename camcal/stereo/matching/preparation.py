@@ -19,6 +19,8 @@ _COMPARED = 500  # matches that exposures are compared at
 _MOST = 1 << 18  # pixels that ranges of gray levels are taken from
 _LEAST_SPAN = 1e-30  # of brightness; keeps the numbers of float images finite where all pixels are alike
 _NOISE_SIDE = 256  # pixels: half the side of the square in the middle whose noise is measured
+NOISY = 4.0  # gray levels, from which images are denoised; the finest texture of sharp photographs counts as up to 3
+_STRENGTH, _TEMPLATE, _SEARCHED = 0.8, 5, 11  # times the noise; pixels
 _FEWEST = 4  # disparities; with fewer there is nothing between them
 _WIDEST = 1 << 14
 
@@ -30,8 +32,8 @@ Masks = tuple[BoolArray, BoolArray]  # of the left and of the right image
 class GrayPair:
     """A pair as matchers take it.
 
-    left, right: (H, W) uint8. deep_left, deep_right: (H, W) uint8 or uint16, as they were taken.
-    noise: standard deviation, gray levels of 255.
+    left, right: (H, W) uint8. deep_left, deep_right: (H, W) uint8 or uint16, as they were taken unless they are noisy.
+    noise: standard deviation before that, gray levels of 255.
     """
 
     left: Array
@@ -44,7 +46,7 @@ class GrayPair:
 def gray_pair(left: Array, right: Array) -> GrayPair:
     """Return both images (H, W), (H, W, 3) BGR or (H, W, 4), of uint8, uint16 or float32, as matchers take them.
 
-    Deep images become 8 bits by one straight line for both.
+    Deep images become 8 bits by one straight line for both. Noisy ones are denoised by non-local means.
     Raises InvalidInput for images of different sizes.
     """
     deep_left, deep_right = _gray(left), _gray(right)
@@ -53,7 +55,14 @@ def gray_pair(left: Array, right: Array) -> GrayPair:
         raise InvalidInput(f"the left image has {sizes[0]} pixels, the right one {sizes[1]}: sizes must be equal")
     deep_left, deep_right = _whole_numbers(deep_left, deep_right)
     first, second = _eight_bits(deep_left, deep_right)
-    return GrayPair(first, second, deep_left, deep_right, noise_of(first))
+    noise = noise_of(first)
+    if noise <= NOISY:
+        return GrayPair(first, second, deep_left, deep_right, noise)
+    first, second = (
+        np.asarray(cv2.fastNlMeansDenoising(image, None, _STRENGTH * noise, _TEMPLATE, _SEARCHED))
+        for image in (first, second)
+    )
+    return GrayPair(first, second, first, second, noise)  # deeper counts hold but noise
 
 
 def noise_of(gray: Array) -> float:
