@@ -90,7 +90,7 @@ def test_another_exposure_costs_little(real_data, name):
     assert bad2(real_data, name, exposed) <= 1.2 * bad2(real_data, name, found_in(real_data, name))
 
 
-@pytest.mark.parametrize(("name", "most"), [(CONES, 3.4), (TEDDY, 6.8), (MOTORCYCLE, 6.4)])
+@pytest.mark.parametrize(("name", "most"), [(CONES, 4.1), (TEDDY, 6.8), (MOTORCYCLE, 6.0)])
 def test_noise_of_five_gray_levels_is_survived(real_data, name, most):
     left, right = pair_of(real_data, name)
     found = match(noisy(left), noisy(right, seed=3), MatchOptions(fill=ALL))

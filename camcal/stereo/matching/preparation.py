@@ -226,5 +226,15 @@ def _aligned(pair: GrayPair, residual: Residual) -> tuple[GrayPair, float]:
     correction = row_correction(residual)
     if correction is None:
         return pair, 0.0
-    right, deep = (align_rows(image, correction) for image in (pair.right, pair.deep_right))
-    return replace(pair, right=right, deep_right=deep), residual.trend.rms
+    right, deep_right = (align_rows(image, correction) for image in (pair.right, pair.deep_right))
+    left, deep_left = (_without_partnerless_rows(image, correction) for image in (pair.left, pair.deep_left))
+    return GrayPair(left, right, deep_left, deep_right, pair.noise), residual.trend.rms
+
+
+def _without_partnerless_rows(left: Array, correction: Array) -> Array:
+    """Return the left image with the first and last rows going on as `align_rows` lets those of the right one."""
+    height, width = left.shape
+    ends = np.array([[0, 0], [width - 1, 0], [0, height - 1], [width - 1, height - 1]]) @ correction[:2] + correction[2]
+    above, below = max(0, int(np.ceil(-ends[:2].min()))), max(0, int(np.ceil(ends[2:].max())))
+    rows = np.clip(np.arange(height), min(above, height - 1), max(height - 1 - below, 0))
+    return np.ascontiguousarray(left[rows])
