@@ -68,6 +68,15 @@ def test_float_images_of_one_value_are_dark(value):
     assert not gray_pair(flat, flat).left.any()
 
 
+def test_noisy_images_are_denoised_and_others_are_left_alone():
+    smooth = np.tile(np.linspace(60, 190, 320), (240, 1))
+    pair = gray_pair(noisy(smooth, 6.0), noisy(smooth, 6.0, seed=3))
+    assert pair.noise == pytest.approx(6.0, rel=0.1)
+    assert max(np.std(pair.left - smooth), np.std(pair.right - smooth)) < 3.0  # a quarter of its power
+    less = noisy(smooth, 3.0)
+    np.testing.assert_array_equal(gray_pair(less, less).left, less)
+
+
 @pytest.mark.parametrize("sigma", [2.0, 5.0, 12.0])
 def test_noise_is_measured(sigma):
     smooth = np.tile(np.linspace(60, 190, 320), (240, 1))
