@@ -3,9 +3,11 @@
 Scenes are rendered, half as `camcal simulate --stereo` makes them by default and half of other sizes, lenses, light and
 noise; folders add real pairs, in the layouts that benchmarks/stereo.py reads. The 68 % quantile of the logarithm of the
 errors is regressed on the evidence of camcal/stereo/matching/uncertainty.py, by class; the tables printed are those
-that stand there. Every second scene is fitted, the others are for the shares.
+that stand there. Every second scene is fitted, the others are for the shares. Last, of the real pairs: the share of the
+errors within the sigma that camcal reports, without the median error of a pair; in brackets, with the rounding of the
+truth added to sigma.
 
-    python benchmarks/disparity_uncertainty.py [FOLDER …] [--scenes 44] [--slanted 500:524] [--weight 1.5]
+    python benchmarks/disparity_uncertainty.py [FOLDER …] [--reported] [--scenes 44] [--slanted 500:524] [--weight 1.5]
 """
 
 import argparse
@@ -19,13 +21,13 @@ from typing import NamedTuple
 
 import numpy as np
 from slanted_scenes import slanted_scenes
-from stereo_pairs import pairs_in
+from stereo_pairs import Pair, pairs_in
 
 from camcal.simulate.stereo_scene import PairOptions, render_pair
 from camcal.stereo.disparity import Confidence
-from camcal.stereo.matching.match import estimated
+from camcal.stereo.matching.match import estimated, match
 from camcal.stereo.matching.preparation import prepare
-from camcal.stereo.options import QUALITIES
+from camcal.stereo.options import ALL, QUALITIES, MatchOptions
 
 SHARE = 0.68
 SAMPLES = 4000  # pixels of a class of a pair; neighbours tell the same
@@ -53,7 +55,14 @@ def main() -> None:
     parser.add_argument("--scenes", type=int, default=44)
     parser.add_argument("--slanted", default="", metavar="FIRST:LAST", help="seeds of generated slanted scenes")
     parser.add_argument("--weight", type=float, default=1.5, help="of a real pair beside a rendered one")
+    parser.add_argument("--reported", action="store_true", help="only the last of it")
     arguments = parser.parse_args()
+    if not arguments.reported:
+        print_fit(arguments)
+    print_reported([pair for folder in arguments.folders for pair in pairs_in(folder, 0.0)])
+
+
+def print_fit(arguments: argparse.Namespace) -> None:
     scenes = [errors_of(*pair) for pair in rendered(arguments.scenes)]
     slanted = range(*map(int, arguments.slanted.split(":"))) if arguments.slanted else ()
     scenes += [errors_of(pair.left, pair.right, pair.truth) for pair in slanted_scenes(slanted)]
@@ -69,6 +78,21 @@ def main() -> None:
             print(f"  {what} scenes  {shares([pair[quality] for pair in pairs], fitted)}")
         for name, pair in real.items():
             print(f"  {name}  {shares([pair[quality]], fitted)}")
+
+
+def print_reported(pairs: Sequence[Pair]) -> None:
+    print("| |", " | ".join(QUALITIES), "|\n|---|" + "---:|" * len(QUALITIES))
+    for pair in pairs:
+        cells = []
+        for quality in QUALITIES:
+            found = match(pair.left, pair.right, MatchOptions(quality, fill=ALL))
+            known = np.isfinite(pair.truth)
+            off = (found.values - pair.truth)[known]
+            off, sigma = np.abs(off - np.median(off)), found.sigma[known]
+            rounding = float(np.diff(np.unique(pair.truth[known])).min()) / np.sqrt(12)
+            own, with_rounding = (100 * np.mean(off <= np.hypot(sigma, added)) for added in (0.0, rounding))
+            cells.append(f"{own:.1f} ({with_rounding:.1f})")
+        print(f"| {pair.name} |", " | ".join(cells), "|", flush=True)
 
 
 def rendered(count: int) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:

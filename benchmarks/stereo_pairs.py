@@ -77,6 +77,13 @@ def slambook(folder: Path) -> Iterator[Pair]:
     yield Pair("slambook2", left, right, truth, unoccluded(truth), up(np.nanmax(truth) + 1))
 
 
+def opencv_sample(folder: Path) -> Iterator[Pair]:
+    """The aloe of OpenCV's samples (Middlebury 2006): aloeL.jpg, aloeR.jpg, aloeGT.png."""
+    left, right = (image(folder / f"aloe{eye}.jpg") for eye in "LR")
+    truth = known(image(folder / "aloeGT.png").astype(np.float32))
+    yield Pair("aloe", left, right, truth, unoccluded(truth), up(np.nanmax(truth) + 1))
+
+
 def simulated(folder: Path) -> Iterator[Pair]:
     """What `camcal simulate --stereo` writes."""
     for path in sorted((folder / "left").glob("*.png")):
@@ -91,6 +98,7 @@ LAYOUTS = {
     middlebury2014: "im0.png",
     skimage: "motorcycle_disp.npz",
     slambook: "ch8/disparity.png",
+    opencv_sample: "aloeGT.png",
     simulated: "visible",
 }
 

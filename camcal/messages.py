@@ -146,6 +146,8 @@ CODES: Mapping[str, Mapping[str, str]] = {
         "swapped_images": "left and right are swapped, or the cameras are toed in",
         "exchanged_cameras": "the cameras were given in the other order",
         "field_not_kept": "rectified images hold less than 85 % of the common field of view",
+        "rotated_images": "rectified images are rotated by more than 50° relative to the camera's",
+        "converging_cameras": "optical axes meet at less than 0.75 baselines from the cameras",
         "identical_images": "both images are of one view",
         "periodic_texture": "disparities are ambiguous by a period of the texture",
         "row_differences": "row differences exceed --max-rms",

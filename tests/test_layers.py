@@ -56,7 +56,6 @@ OPENCV_EDGES = {
     "stereo/matching/learned.py",
     "stereo/matching/match.py",
     "stereo/matching/matchers.py",
-    "stereo/matching/planes.py",
     "stereo/matching/preparation.py",
     "stereo/matching/pyramid.py",
     "stereo/matching/semi_global.py",

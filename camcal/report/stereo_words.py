@@ -1,7 +1,6 @@
 """The check of a rectified pair as text and as plain data, and errors of disparity maps as table rows."""
 
 from collections.abc import Sequence
-from dataclasses import asdict
 from math import isnan
 from typing import Any
 
@@ -140,7 +139,11 @@ def plain(check: PairCheck) -> dict[str, Any]:
         "disparity_px": {"low": low, "high": high, "search": check.searched},
         "exposure": None
         if exposure is None
-        else asdict(exposure) | {"brightness": _plain(exposure.brightness), "differs": exposure.differs},
+        else {
+            "brightness": _plain(exposure.brightness),
+            **{name: getattr(exposure, name) for name in ("gain", "offset", "gamma", "scatter")},
+            "differs": exposure.differs,
+        },
         "failure": None if check.failure is None else check.failure.code,
         "verdict": verdict(check),
     }

@@ -27,8 +27,8 @@ class Disparity(Brief):
 
     values: (H, W) float32 pixels, NaN where there is none. sigma: (H, W) float32 pixels, half the width of what holds
     68 % of the errors, NaN where there is no value. confidence: (H, W) uint8, see `Confidence`. searched: smallest and
-    largest disparity looked for, pixels. at_ends: shares of the pixels with texture whose best match lies at the lower
-    and at the upper end of it, whether it is accepted or not.
+    largest disparity looked for, pixels. at_ends: shares of the matches that lie at the lower and at the upper
+    end of it.
     """
 
     values: Float32Array

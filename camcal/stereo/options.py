@@ -10,8 +10,8 @@ FAST, BALANCED, BEST = "fast", "balanced", "best"
 QUALITIES = (FAST, BALANCED, BEST)
 NOTHING, BACKGROUND, ALL = "none", "background", "all"
 FILLS = (NOTHING, BACKGROUND, ALL)
-_SWITCHES = {"auto": None, "on": True, "off": False}
 _EXPOSURES = {"auto": True, "off": False}
+_SWITCHES = {"on": True, **_EXPOSURES}
 
 
 def _read_range(text: str) -> tuple[int, int] | None:
@@ -21,10 +21,10 @@ def _read_range(text: str) -> tuple[int, int] | None:
     return first, last
 
 
-def _word(words: dict[str, bool | None]) -> ValueType:
+def _word(words: dict[str, bool]) -> ValueType:
     """Return the type of an option whose words stand for values."""
 
-    def read(text: str) -> bool | None:
+    def read(text: str) -> bool:
         if text not in words:
             raise ValueError(text)
         return words[text]
@@ -39,7 +39,7 @@ class MatchOptions(OptionsRecord):
 
     quality: fast, balanced or best. search: smallest and largest disparity, pixels, None for what the images show.
     fill: none; background, in rows where something is matched; all. align_rows: put the rows of the right image right
-    if they are measurably off; None: unless quality is fast. expose_alike: bring it to the left one's exposure.
+    if they are measurably off. expose_alike: bring both images to one exposure.
     """
 
     quality: Annotated[
@@ -68,24 +68,19 @@ class MatchOptions(OptionsRecord):
         ),
     ] = NOTHING
     align_rows: Annotated[
-        bool | None,
+        bool,
         Option(
-            "Correct row offsets of the right image; auto (default): except with fast.",
+            "Correct row offsets of the right image.",
             metavar="auto|on|off",
             type=_word(_SWITCHES),
         ),
-    ] = None
+    ] = True
     expose_alike: Annotated[
         bool,
         Option(
-            "Match the exposure of the right image to the left.",
+            "Correct exposure differences that matched pixels show.",
             metavar="auto|off",
             names="--exposure",
             type=_word(_EXPOSURES),
         ),
     ] = True
-
-    @property
-    def aligns(self) -> bool:
-        """Whether rows are put right."""
-        return self.quality != FAST if self.align_rows is None else self.align_rows

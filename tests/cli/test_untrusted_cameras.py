@@ -27,8 +27,10 @@ COMMANDS = {
     "pnp --rig": "pnp --rig rig.yaml left=tags --tags tag36h11:50mm -j 1",
     "track": "track rig.yaml#left tags --tags tag36h11:50mm --fps 10 -j 1",
     "stereo rectify": "stereo rectify rig.yaml left right -o out -j 1",
-    "stereo disparity": "stereo disparity left.png right.png rig.yaml -o map.tiff --range 0:16 --quality fast",
-    "stereo disparity of two pairs": "stereo disparity left right rig.yaml -o maps --range 0:16 --quality fast -j 1",
+    "stereo disparity": "stereo disparity left.png right.png rig.yaml -o map.tiff --range 0:16 --align-rows off",
+    "stereo disparity of two pairs": (
+        "stereo disparity left right rig.yaml -o maps --range 0:16 --quality fast --align-rows off -j 1"
+    ),
     "stereo cloud": "stereo cloud flat.pfm rig.yaml -o cloud.ply",
     "stereo eval": "stereo eval flat.pfm flat.pfm rig.yaml",
     "stereo eval of two maps": "stereo eval flat flat rig.yaml",

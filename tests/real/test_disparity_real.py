@@ -61,6 +61,28 @@ def test_a_row_of_misalignment_is_repaired(real_data, name):
     assert bad2(real_data, name, repaired) <= bad2(real_data, name, found_in(real_data, name)) + 0.3
 
 
+@pytest.mark.parametrize("name", [CONES, TEDDY, VENUS, MOTORCYCLE])
+def test_two_rows_of_misalignment_are_repaired_with_fast_too(real_data, name):
+    left, right = pair_of(real_data, name)
+    repaired = match(left, np.roll(right, 2, axis=0), MatchOptions(FAST, fill=ALL))
+    assert bad2(real_data, name, repaired) <= 5.0  # 16 to 26 % as they are
+
+
+@pytest.mark.parametrize("name", [CONES, TEDDY, VENUS, MOTORCYCLE])
+def test_a_closer_scene_is_matched_by_fast_as_well_as_by_a_padded_matcher(real_data, name):
+    # What is beyond the crop only one image shows: histograms of the two differ, their exposures do not.
+    left, right = pair_of(real_data, name)
+    width = left.shape[1] - 240 * left.shape[1] // 741
+    found = match(
+        np.ascontiguousarray(left[:, :width]), np.ascontiguousarray(right[:, -width:]), MatchOptions(FAST, fill=ALL)
+    )
+    truth, visible = (values[:, :width] for values in truth_and_mask(real_data, name))
+    truth = truth + left.shape[1] - width
+    seen = visible & (np.arange(width) - truth >= 0)
+    assert 100 * np.mean(~(np.abs(found.values - truth) <= 2)[seen]) <= 5.7  # as three-way matching, padded and filled
+    assert max(found.at_ends) < 0.02  # nothing to warn of
+
+
 @pytest.mark.parametrize("name", [CONES, TEDDY, MOTORCYCLE])
 def test_another_exposure_costs_little(real_data, name):
     left, right = pair_of(real_data, name)
@@ -68,25 +90,23 @@ def test_another_exposure_costs_little(real_data, name):
     assert bad2(real_data, name, exposed) <= 1.2 * bad2(real_data, name, found_in(real_data, name))
 
 
-def test_noise_of_five_gray_levels_is_survived(real_data):
-    errors = []
-    for name in (CONES, TEDDY):
-        left, right = pair_of(real_data, name)
-        found = match(noisy(left), noisy(right, seed=3), MatchOptions(fill=ALL))
-        errors.append(bad2(real_data, name, found))
-    assert np.mean(errors) <= 6.0  # padded three-way matching alone has 10.9 on such pairs
+@pytest.mark.parametrize(("name", "most"), [(CONES, 4.1), (TEDDY, 6.8), (MOTORCYCLE, 6.0)])
+def test_noise_of_five_gray_levels_is_survived(real_data, name, most):
+    left, right = pair_of(real_data, name)
+    found = match(noisy(left), noisy(right, seed=3), MatchOptions(fill=ALL))
+    assert bad2(real_data, name, found) <= most  # eight paths, padded and filled, have 4.8, 11.9 and 10.9
 
 
-def test_sigma_holds_two_thirds_of_the_errors_of_real_pairs(real_data):
-    within = []
-    for name in MAPS:
-        found, truth = found_in(real_data, name), truth_and_mask(real_data, name)[0]
-        known = np.isfinite(truth)
-        # Truths of whole quarters and eighths of a pixel are themselves off by more than the surest pixels.
-        rounding = 0 if name == MOTORCYCLE else 1 / MAPS[name][-1] / np.sqrt(12)
-        sigma = np.hypot(found.sigma, rounding)
-        within.append(np.mean(np.abs(found.values - truth)[known] <= sigma[known]))
-    assert 0.6 <= np.mean(within) <= 0.76
+@pytest.mark.parametrize("quality", [BALANCED, BEST])
+@pytest.mark.parametrize("name", MAPS)
+def test_sigma_holds_two_thirds_of_the_errors_of_a_real_pair(real_data, name, quality):
+    found, truth = found_in(real_data, name, quality), truth_and_mask(real_data, name)[0]
+    off = np.abs(found.values - truth - np.nanmedian(found.values - truth))[np.isfinite(truth)]  # truths have offsets
+    # Of truths in whole quarters and eighths of a pixel nobody says whose error the rounding is.
+    rounding = 0 if name == MOTORCYCLE else 1 / MAPS[name][-1] / np.sqrt(12)
+    sigma = found.sigma[np.isfinite(truth)]
+    assert np.mean(off <= sigma) >= 0.62
+    assert np.mean(off <= np.hypot(sigma, rounding)) <= 0.78
 
 
 def test_most_of_a_street_is_matched(real_data):

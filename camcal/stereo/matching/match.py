@@ -20,7 +20,6 @@ from camcal.stereo.matching.matchers import (
     single_matcher,
     textured,
 )
-from camcal.stereo.matching.planes import on_planes
 from camcal.stereo.matching.preparation import GrayPair, Masks, Prepared, prepare
 from camcal.stereo.matching.pyramid import coarse_to_fine, needs_levels
 from camcal.stereo.matching.uncertainty import (
@@ -49,7 +48,7 @@ def match(left: Array, right: Array, options: MatchOptions | None = None, each: 
     depend on one another. Raises InvalidInput for images of different sizes.
     """
     options = options or MatchOptions()
-    prepared = prepare(left, right, options.search, align=options.aligns, expose=options.expose_alike)
+    prepared = prepare(left, right, options.search, align=options.align_rows, expose=options.expose_alike)
     return match_prepared(prepared, options, each)
 
 
@@ -67,7 +66,9 @@ def match_prepared(prepared: Prepared, options: MatchOptions, each: Each = one_b
         values, sigma = np.where(keep, values, nothing), np.where(keep, sigma, nothing)
         confidence = confidence * keep  # Confidence.NONE is 0
     searched = prepared.first, prepared.first + prepared.count - 1
-    return Disparity(values, sigma, confidence, searched, _at_ends(estimate.end))
+    return Disparity(
+        values, sigma, confidence, searched, _at_ends(estimate.end[estimate.confidence > Confidence.FILLED])
+    )
 
 
 def within(disparity: Disparity, valid: Masks) -> Disparity:
@@ -88,8 +89,8 @@ def within(disparity: Disparity, valid: Masks) -> Disparity:
 
 
 def _at_ends(end: Array) -> tuple[float, float]:
-    """Return the shares of -1 and of 1 among pixels."""
-    return float(np.mean(end < 0)), float(np.mean(end > 0))
+    """Return the shares of -1 and of 1 among matches (N,)."""
+    return (float(np.mean(end < 0)), float(np.mean(end > 0))) if end.size else (0.0, 0.0)
 
 
 def _weights(prepared: Prepared, quality: str) -> Weights:
@@ -128,22 +129,11 @@ def estimated(prepared: Prepared, quality: str, each: Each = one_by_one) -> Esti
     found = textured(_found(prepared, quality, each), prepared.pair.left)
     filled = from_the_background(found.disparity)
     dense = everywhere(filled.disparity)
-    if quality == BEST:
-        filled, dense = _with_planes(found, filled, dense, prepared.pair)
     large = needs_levels(prepared.pair, prepared.count)
     dense = without_spikes(dense) if quality == FAST else smoothed(dense, quick=large)
     step = _REDUCED if quality == FAST else _REDUCED_LARGE if large else 1
     evidence = evidence_of(*reduced(prepared.pair, found, filled, dense, step))
     return Estimate(dense, found.confidence, filled, found.end, evidence, step)
-
-
-def _with_planes(found: Fused, filled: Filled, dense: Array, pair: GrayPair) -> tuple[Filled, Array]:
-    """Return what is filled and the dense map, with planes in gaps.
-
-    Choice and distance stay those of the filling: planes fail seldom, but by much.
-    """
-    planes = on_planes(found, dense, pair)
-    return filled._replace(disparity=np.where(planes == dense, filled.disparity, planes)), planes
 
 
 def _found(prepared: Prepared, quality: str, each: Each) -> Fused:

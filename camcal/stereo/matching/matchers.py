@@ -18,7 +18,7 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.errors import InvalidInput
 from camcal.stereo.disparity import Confidence
-from camcal.stereo.matching.preparation import GrayPair
+from camcal.stereo.matching.preparation import NOISY, GrayPair
 from camcal.stereo.matching.semi_global import (
     aggregate,
     census,
@@ -30,7 +30,6 @@ from camcal.stereo.matching.semi_global import (
     rough_fraction,
 )
 
-_NOISY = 7.0  # gray levels; below, more blur loses more detail than noise
 _SPECKLE, _SPECKLE_SHARE = 400, 0.02  # pixels of a patch, and share of a small image, that need no second witness
 _BLUR, _NOISY_BLUR = 0.5, 0.8  # pixels: what a lens does not, so that images sampled between pixels are similar
 
@@ -76,7 +75,7 @@ class Found(NamedTuple):
 
 def by_census(pair: GrayPair, first: int, count: int) -> Found:
     """Return what semi-global matching on census transforms finds; first: the smallest disparity, count: how many."""
-    blur = _NOISY_BLUR if pair.noise > _NOISY else _BLUR
+    blur = _NOISY_BLUR if pair.noise > NOISY else _BLUR
     left, right = (census(cv2.GaussianBlur(image, (0, 0), blur)) for image in (pair.deep_left, pair.deep_right))
     costs = matching_costs(left, right, first, count)
     total = aggregate(costs, cv2.GaussianBlur(pair.left, (0, 0), blur))

@@ -10,14 +10,17 @@ from camcal.errors import InsufficientData, InvalidInput
 from camcal.messages import Message
 from camcal.stereo.pair.alignment import Residual, align_rows, quick_residual, row_correction
 from camcal.stereo.pair.coarse import CoarseMap, coarse_map, default_range, range_in
-from camcal.stereo.pair.pair_check import SWAPPED, failure_of
+from camcal.stereo.pair.pair_check import SWAPPED, exposure_of, failure_of
 
 _DARKEST, _BRIGHTEST = 0.1, 99.9  # percentiles of deep images that become 0 and 255
-_QUANTILES = np.linspace(0.01, 0.99, 33)
-_DIFFERENT = 3.0  # gray levels of 255; where two exposures differ by less, correcting them gains nothing
-_MOST = 1 << 18  # pixels that histograms are made of
+_DIFFERENT = 5.0  # gray levels of 255, RMS; where two exposures differ by less, correcting them gains nothing
+_EXPLAINED = 0.5  # share of the difference of matched pixels that may be left; what is no exposure leaves nearly all
+_COMPARED = 500  # matches that exposures are compared at
+_MOST = 1 << 18  # pixels that ranges of gray levels are taken from
 _LEAST_SPAN = 1e-30  # of brightness; keeps the numbers of float images finite where all pixels are alike
 _NOISE_SIDE = 256  # pixels: half the side of the square in the middle whose noise is measured
+NOISY = 4.0  # gray levels, from which images are denoised; the finest texture of sharp photographs counts as up to 3
+_STRENGTH, _TEMPLATE, _SEARCHED = 0.8, 5, 11  # times the noise; pixels
 _FEWEST = 4  # disparities; with fewer there is nothing between them
 _WIDEST = 1 << 14
 
@@ -29,8 +32,8 @@ Masks = tuple[BoolArray, BoolArray]  # of the left and of the right image
 class GrayPair:
     """A pair as matchers take it.
 
-    left, right: (H, W) uint8, of one exposure. deep_left, deep_right: (H, W) uint8 or uint16, as they were taken.
-    noise: standard deviation, gray levels of 255.
+    left, right: (H, W) uint8. deep_left, deep_right: (H, W) uint8 or uint16, as they were taken unless they are noisy.
+    noise: standard deviation before that, gray levels of 255.
     """
 
     left: Array
@@ -40,11 +43,10 @@ class GrayPair:
     noise: float
 
 
-def gray_pair(left: Array, right: Array, *, expose: bool = True, valid: Masks | None = None) -> GrayPair:
+def gray_pair(left: Array, right: Array) -> GrayPair:
     """Return both images (H, W), (H, W, 3) BGR or (H, W, 4), of uint8, uint16 or float32, as matchers take them.
 
-    Deep images become 8 bits by one straight line for both. expose: where their exposures differ, bring the right one
-    to the left one's by the curve that makes their histograms equal, over what is valid.
+    Deep images become 8 bits by one straight line for both. Noisy ones are denoised by non-local means.
     Raises InvalidInput for images of different sizes.
     """
     deep_left, deep_right = _gray(left), _gray(right)
@@ -53,8 +55,14 @@ def gray_pair(left: Array, right: Array, *, expose: bool = True, valid: Masks | 
         raise InvalidInput(f"the left image has {sizes[0]} pixels, the right one {sizes[1]}: sizes must be equal")
     deep_left, deep_right = _whole_numbers(deep_left, deep_right)
     first, second = _eight_bits(deep_left, deep_right)
-    second = _exposed_alike(first, second, valid) if expose else second
-    return GrayPair(first, second, deep_left, deep_right, noise_of(first))
+    noise = noise_of(first)
+    if noise <= NOISY:
+        return GrayPair(first, second, deep_left, deep_right, noise)
+    first, second = (
+        np.asarray(cv2.fastNlMeansDenoising(image, None, _STRENGTH * noise, _TEMPLATE, _SEARCHED))
+        for image in (first, second)
+    )
+    return GrayPair(first, second, first, second, noise)  # deeper counts hold but noise
 
 
 def noise_of(gray: Array) -> float:
@@ -103,29 +111,29 @@ def _eight_bits(left: Array, right: Array) -> tuple[Array, Array]:
     return first, second
 
 
-def _exposed_alike(left: Array, right: Array, valid: Masks | None) -> Array:
-    """Return the right image (H, W) uint8 with the left one's histogram, itself where theirs hardly differ."""
-    samples = [_sample(image) for image in (left, right)]
-    if valid is not None:
-        samples = [image[_sample(mask)] for image, mask in zip(samples, valid, strict=True)]
-    if not all(sample.size for sample in samples):
-        return right
-    here, there = (_quantiles(sample) for sample in samples)
-    if np.abs(here - there).max() < _DIFFERENT:
-        return right
-    there += np.arange(len(there)) * 1e-6  # rising, as the interpolation needs it
-    levels = np.arange(256)
-    curve = np.interp(levels, there, here)
-    slope = (here[-1] - here[0]) / max(float(there[-1] - there[0]), 1.0)
-    curve = np.where(levels < there[0], here[0] + slope * (levels - there[0]), curve)
-    curve = np.where(levels > there[-1], here[-1] + slope * (levels - there[-1]), curve)
-    return np.asarray(cv2.LUT(right, np.clip(np.rint(curve), 0, 255).astype(np.uint8)))
+def _exposed_alike(pair: GrayPair, coarse: CoarseMap) -> GrayPair:
+    """Return the pair with the image of less contrast in the other one's exposure, itself where theirs hardly differ.
 
-
-def _quantiles(gray: Array) -> Array:
-    """Return the gray levels (33,) of 8 bits, fractions between them, that 1 to 99 % of the pixels lie below."""
-    counts = np.bincount(gray.ravel(), minlength=256)
-    return np.interp(_QUANTILES, (np.cumsum(counts) - counts / 2) / gray.size, np.arange(256))
+    Only what both images show is compared: a camera that sees more of a bright wall is not exposed differently.
+    """
+    shape = coarse.disparities.shape
+    left, right = (cv2.resize(image, shape[::-1], interpolation=cv2.INTER_AREA) for image in (pair.left, pair.right))
+    rows, columns = np.nonzero(np.isfinite(coarse.disparities))
+    some = slice(None, None, max(1, len(rows) // _COMPARED))
+    pixels = np.column_stack([columns, rows])[some].astype(float)
+    moved = coarse.disparities[rows, columns][some] * (shape[1] / pair.left.shape[1])
+    sides = [(right, pixels - np.column_stack([moved, np.zeros_like(moved)])), (left, pixels)]
+    if left.std() < right.std():
+        sides.reverse()
+    (first, here), (second, there) = sides
+    exposure = exposure_of(first, second, here, there)
+    if exposure is None or exposure.moved < _DIFFERENT or exposure.scatter > _EXPLAINED * exposure.apart:
+        return pair
+    curve = np.clip(np.rint(exposure.curve(np.arange(256.0))), 0, 255).astype(np.uint8)
+    if first is right:
+        return replace(pair, right=np.asarray(cv2.LUT(pair.right, curve)))
+    stretched = np.asarray(cv2.LUT(pair.left, curve))
+    return replace(pair, left=stretched, noise=noise_of(stretched))
 
 
 def _sample(image: Array) -> Array:
@@ -158,19 +166,19 @@ def prepare(
     align: bool = True,
     expose: bool = True,
     farthest: float = 0.0,
-    valid: Masks | None = None,
 ) -> Prepared:
     """Return a pair ready to be matched.
 
     left, right: (H, W), (H, W, 3) BGR or (H, W, 4), uint8, uint16 or float32. search: smallest and largest disparity,
     pixels, None for what the images show. align: put the rows right if they are measurably off. expose: bring the
     right image to the left one's exposure. farthest: disparity of what is infinitely far, pixels, by the geometry; left
-    and right are taken for swapped if all lies below it, unless the range begins there. valid: masks (H, W) of what
-    the images show, None for all of it.
+    and right are taken for swapped if all lies below it, unless the range begins there.
     Raises InvalidInput for images of different sizes, and for a range that is empty or wider than any image.
     """
-    pair = gray_pair(left, right, expose=expose, valid=valid)
-    coarse = coarse_map(pair.left, pair.right) if align or search is None else None
+    pair = gray_pair(left, right)
+    coarse = coarse_map(pair.left, pair.right) if align or expose or search is None else None
+    if expose and coarse is not None and not coarse.periodic:
+        pair = _exposed_alike(pair, coarse)
     residual = _residual(pair, coarse) if align else None
     warnings, failures = list[Message](), list[Message]()
     if residual is not None and not (coarse is not None and coarse.periodic):
@@ -218,5 +226,15 @@ def _aligned(pair: GrayPair, residual: Residual) -> tuple[GrayPair, float]:
     correction = row_correction(residual)
     if correction is None:
         return pair, 0.0
-    right, deep = (align_rows(image, correction) for image in (pair.right, pair.deep_right))
-    return replace(pair, right=right, deep_right=deep), residual.trend.rms
+    right, deep_right = (align_rows(image, correction) for image in (pair.right, pair.deep_right))
+    left, deep_left = (_without_partnerless_rows(image, correction) for image in (pair.left, pair.deep_left))
+    return GrayPair(left, right, deep_left, deep_right, pair.noise), residual.trend.rms
+
+
+def _without_partnerless_rows(left: Array, correction: Array) -> Array:
+    """Return the left image with the first and last rows going on as `align_rows` lets those of the right one."""
+    height, width = left.shape
+    ends = np.array([[0, 0], [width - 1, 0], [0, height - 1], [width - 1, height - 1]]) @ correction[:2] + correction[2]
+    above, below = max(0, int(np.ceil(-ends[:2].min()))), max(0, int(np.ceil(ends[2:].max())))
+    rows = np.clip(np.arange(height), min(above, height - 1), max(height - 1 - below, 0))
+    return np.ascontiguousarray(left[rows])

@@ -37,7 +37,8 @@ _TURNED = 0.5  # share of the features that are turned alike
 class Exposure:
     """How the right image's counts come from the left one's: gain · 255 · (left / 255)^gamma + offset.
 
-    brightness: by how much the right image is brighter, 0.1 for 10 %. scatter: counts about the curve.
+    brightness: by how much the right image is brighter, 0.1 for 10 %. scatter: counts about the curve, `apart` without
+    it. moved: counts by which the curve changes those of the matches, RMS.
     """
 
     brightness: Measured
@@ -45,6 +46,12 @@ class Exposure:
     offset: float
     gamma: float
     scatter: float
+    apart: float
+    moved: float
+
+    def curve(self, counts: Array) -> Array:
+        """Return what counts (N,) of the left image are in the right one."""
+        return np.asarray(self.gain * 255 * (counts / 255) ** self.gamma + self.offset)
 
     @property
     def differs(self) -> bool:
@@ -105,7 +112,7 @@ def check_pair(left: Array, right: Array, farthest: float = 0.0, *, upright: boo
     return PairCheck(
         residual,
         PERIODIC if periodic else failure_of(residual, farthest),
-        exposure_of(left, right, residual),
+        exposure_of(left, right, residual.pixels, residual.partners),
         disparities,
         (float(low), float(high)),
         range_in(coarse, left.shape[1]),
@@ -140,21 +147,23 @@ def _wrapped(angles: Array) -> Array:
     return np.asarray((angles + np.pi) % (2 * np.pi) - np.pi)
 
 
-def exposure_of(left: Array, right: Array, residual: Residual) -> Exposure | None:
-    """Return how the exposures of a pair differ; None where too few features lie between black and white.
+def exposure_of(left: Array, right: Array, pixels: Array, partners: Array) -> Exposure | None:
+    """Return how the exposures of a pair differ; None where too few matches lie between black and white.
 
-    left, right: (H, W) uint8.
+    left, right: (H, W) uint8. pixels, partners: (N, 2) of the left image, and where they are in the right one.
     """
-    windows = _windows(left, residual.pixels), _windows(right, residual.partners)
+    windows = _windows(left, pixels), _windows(right, partners)
     whole = np.logical_and(*((_ENDS[0] < part.min(axis=1)) & (part.max(axis=1) < _ENDS[1]) for part in windows))
     if whole.sum() < _FEWEST:
         return None
     first, second = (part[whole].mean(axis=1) for part in windows)
-    fits = [_fit(first, second, gamma) for gamma in _GAMMAS]
-    best = int(np.argmin([scatter for _, scatter, _ in fits]))
-    (gain, offset), scatter, weights = fits[best]
-    kept = weights > 0
-    return Exposure(_brightness(first[kept], second[kept]), gain, offset, float(_GAMMAS[best]), scatter)
+    gains, offsets, scatters, kept = _fits(first, second)
+    best = int(np.argmin(scatters))
+    gain, offset, gamma, scatter = (float(each[best]) for each in (gains, offsets, _GAMMAS, scatters))
+    first, second = first[kept[best]], second[kept[best]]
+    exposure = Exposure(_brightness(first, second), gain, offset, gamma, scatter, apart=0.0, moved=0.0)
+    apart = _NORMAL * float(np.median(np.abs(second - first)))
+    return replace(exposure, apart=apart, moved=float(np.sqrt(np.mean((exposure.curve(first) - first) ** 2))))
 
 
 def _windows(gray: Array, pixels: Array) -> Array:
@@ -164,22 +173,24 @@ def _windows(gray: Array, pixels: Array) -> Array:
     height, width = gray.shape
     down = np.clip(rows[:, None] + steps, 0, height - 1)
     across = np.clip(columns[:, None] + steps, 0, width - 1)
-    return np.asarray(gray[down[:, :, None], across[:, None, :]].reshape(len(pixels), -1))
+    return np.asarray(gray[down[:, :, None], across[:, None, :]].reshape(len(pixels), len(steps) ** 2))
 
 
-def _fit(first: Array, second: Array, gamma: float) -> tuple[tuple[float, float], float, Array]:
-    """Return gain and offset for a gamma, the scatter about the curve, counts, and the weights (N,)."""
-    curve = 255 * (first / 255) ** gamma
-    weights = np.ones_like(first)
+def _fits(first: Array, second: Array) -> tuple[Array, Array, Array, Array]:
+    """Return gain, offset and scatter about the curve for every gamma, (G,) each, and which counts it keeps (G, N)."""
+    curve = 255 * (first / 255) ** _GAMMAS[:, None]
+    weights = np.ones_like(curve)
     for _ in range(_ROUNDS):
-        share = weights / weights.sum()
-        middle, level = share @ curve, share @ second
-        gain = (share * (curve - middle)) @ (second - level) / max(share @ (curve - middle) ** 2, _LEAST_SPREAD)
+        share = weights / weights.sum(axis=1, keepdims=True)
+        middle, level = (share * curve).sum(axis=1, keepdims=True), (share @ second)[:, None]
+        spread = (share * (curve - middle) ** 2).sum(axis=1, keepdims=True)
+        gain = (share * (curve - middle) * (second - level)).sum(axis=1, keepdims=True)
+        gain /= np.maximum(spread, _LEAST_SPREAD)
         offset = level - gain * middle
         off = np.abs(second - gain * curve - offset)
-        scatter = max(_NORMAL * float(np.median(off)), _LEAST_SCATTER)
+        scatter = np.maximum(_NORMAL * np.median(off, axis=1, keepdims=True), _LEAST_SCATTER)
         weights = np.maximum(1 - (off / (_BREAK * scatter)) ** 2, 0) ** 2
-    return (float(gain), float(offset)), scatter, weights
+    return gain[:, 0], offset[:, 0], scatter[:, 0], weights > 0
 
 
 def _brightness(first: Array, second: Array) -> Measured:

@@ -12,7 +12,7 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.cameras.model import Camera
-from camcal.cameras.validity import ImageCircle, rim
+from camcal.cameras.validity import ImageCircle, pixel_angles, rim
 
 CELLS = 192  # of the grid of directions, along either angle
 FAINT = 0.05  # of the fullest row or column: those with less, at the ends, are left out
@@ -95,13 +95,20 @@ class Viewer:
 
     def samples(self) -> Directions:
         """Return the directions of pixels all over the image, and of its outline."""
+        inside, around = self._seen_at(self._all_over()), self.outline()
+        return Directions(np.concatenate([inside.off, around.off]), np.concatenate([inside.about, around.about]))
+
+    def spread(self) -> tuple[Directions, Array]:
+        """Return the directions (N,) of pixels all over the image, and the solid angle (N,) of each, relative."""
+        pixels = self._all_over()
+        pixels = pixels[self.camera.unproject(pixels).valid]
+        return self._seen_at(pixels), np.nan_to_num(pixel_angles(self.camera, pixels)) ** 2
+
+    def _all_over(self) -> Array:
         width, height = self.camera.image_size
         grid = np.meshgrid(np.linspace(0, width - 1, _PIXELS), np.linspace(0, height - 1, _PIXELS))
         pixels = np.column_stack([axis.ravel() for axis in grid])
-        if self.circle is not None:
-            pixels = pixels[self.circle.contains(pixels)]
-        inside, around = self._seen_at(pixels), self.outline()
-        return Directions(np.concatenate([inside.off, around.off]), np.concatenate([inside.about, around.about]))
+        return pixels if self.circle is None else pixels[self.circle.contains(pixels)]
 
     def _seen_at(self, pixels: Array) -> Directions:
         rays = self.camera.unproject(pixels)

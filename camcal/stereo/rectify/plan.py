@@ -4,7 +4,7 @@ The x axis of the pair (y, where one camera is above the other) is the baseline,
 upright as those of the first camera; z is the mean optical axis across it, or the middle of the common field.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -25,6 +25,8 @@ _KEPT_OBLIQUE = 0.90  # by pairs that may look along their baseline; the grid is
 _WIDEST = {PINHOLE: np.radians(52), CYLINDRICAL: np.radians(58)}  # from the middle, where the projection is chosen
 _AXIAL, _OBLIQUE = np.radians(15), np.radians(65)  # of the mean view from the baseline
 _TURNED = 0.05  # of an image, whose content may be turned by more than 90°
+_ROTATED = 50.0  # degrees, from which people and programs that look at the images are surprised
+_NEAR = 2.0  # baseline by distance of the nearest points, from which some of them lie beyond the images
 _CHECKED, _STEP = 24, 0.5  # places a side where that is checked, and pixels to the next ones
 _ALL_AROUND = np.radians(250)  # of φ, beyond which images are turned in a part
 _FAINT = (0.05, 0.1, 0.2, 0.4)
@@ -112,24 +114,24 @@ def plan_rectification(
             f"{frame.described}: rectified images would hold {100 * window.kept:.0f} % of the common field, as it "
             "reaches to the baseline itself; give --fov HxV for a part of it"
         )
-    if _turned_share(frame, found) > _TURNED:
+    turns = [_turns(frame.left, found.left_camera), _turns(frame.right, found.right_camera)]
+    first = turns[frame.swapped]
+    if not len(first) or np.mean(np.abs(first) > np.pi / 2) > _TURNED:
         raise frame.axial()
-    return found
+    return replace(found, warnings=(*found.warnings, *_unusual(frame, field, turns)))
 
 
-def _turned_share(frame: _Frame, found: Rectification) -> float:
-    """Return how much of the first camera's rectified image shows what that camera sees turned by more than 90°."""
-    first, camera = (frame.right, found.right_camera) if frame.swapped else (frame.left, found.left_camera)
-    grid = np.meshgrid(*((np.arange(_CHECKED) + 0.5) / _CHECKED * (side - 1) for side in found.size))
+def _turns(viewer: Viewer, camera: Camera) -> Array:
+    """Return by which angles (N,), rad, what a camera sees is turned all over its rectified images."""
+    grid = np.meshgrid(*((np.arange(_CHECKED) + 0.5) / _CHECKED * (side - 1) for side in camera.image_size))
     here = np.column_stack([axis.ravel() for axis in grid])
     places = [
-        first.pixels(directions_of(camera.unproject(here + step).directions, frame.along))
+        viewer.pixels(directions_of(camera.unproject(here + step).directions, viewer.along))
         for step in (np.zeros(2), np.array([_STEP, 0]), np.array([0, _STEP]))
     ]
     right, down = ((each - places[0]) / np.linalg.norm(each - places[0], axis=1, keepdims=True) for each in places[1:])
-    upright = right[:, 0] + down[:, 1]
-    known = np.isfinite(upright)
-    return float((upright[known] < 0).mean()) if known.any() else 1.0
+    turns = np.arctan2(right[:, 1] - down[:, 0], right[:, 0] + down[:, 1])
+    return np.asarray(turns[np.isfinite(turns)])
 
 
 def _record(frame: _Frame, window: Window) -> Rectification:
@@ -162,6 +164,19 @@ def _warnings(frame: _Frame, window: Window) -> list[Message]:
         text = f"{100 * window.kept:.0f} % of the common field kept: {window.reason}"
         found.append(Message("field_not_kept", text, {"kept": window.kept}))
     return found
+
+
+def _unusual(frame: _Frame, field: CommonField, turns: Sequence[Array]) -> Iterator[Message]:
+    """Yield warnings of images that are rotated, and of cameras whose axes meet next to them."""
+    for name, each in zip(frame.names, turns, strict=True):
+        angle = float(np.degrees(np.median(np.abs(each)))) if len(each) else 0.0
+        if angle > _ROTATED:
+            text = f"rectified images of {name} are rotated by {angle:.0f}° relative to the camera's, as it is mounted"
+            yield Message("rotated_images", text, {"rotation_deg": angle})
+    if field.near > _NEAR:
+        meeting = 1.5 / field.near
+        text = f"optical axes meet at {meeting:.2f} baselines: parts of the common field may be outside the images"
+        yield Message("converging_cameras", text, {"baselines": meeting})
 
 
 def _frame(cameras: Mapping[str, Camera], right_T_left: Pose, circles: Mapping[str, ImageCircle | None]) -> _Frame:

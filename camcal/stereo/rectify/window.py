@@ -21,8 +21,7 @@ _LARGEST = 2.0  # times the pixels of the larger camera
 _TOGETHER = 1.15  # times the wider image, that one window for both may take
 _NEAR = 2.5  # cells, from which an end found on the grid is the exact one of the outline
 _SHARES = 400  # cells that tell the resolution of a camera
-_THINNED = 3  # every so many cells along either angle tell what is kept
-_PARALLAXES = (0.0, 0.01, 0.1, 1 / 3)  # baseline by distance of the points that tell it
+_NEARNESS = (0.0, 0.01, 0.1, 1 / 3)  # baseline by distance of the points that tell what is kept
 _NEARER = (0.47, 0.57, 2 / 3, 0.77, 0.87)  # times that of the nearest points: around where toed-in axes meet, at 2/3
 _CHECKED = 160  # places a side that tell where both images are valid
 
@@ -232,23 +231,23 @@ def _judged(
 ) -> Window:
     """Return the window with the share of the common field that it keeps, and why it is not all of it.
 
-    Points along rays of the left camera are counted at several distances, if both cameras see them.
+    Points along rays of all of an image are counted at several distances, if both cameras see them, whether the window
+    was made for them or not. The image that keeps less counts.
     """
-    mask, cells = field.left.mask[::_THINNED, ::_THINNED], field.left.cells()
-    weights = field.left.weights[::_THINNED, ::_THINNED][mask]
-    left = Directions(*(angles[::_THINNED, ::_THINNED][mask] for angles in cells))
-    in_left = _held(window, 0, left), _is_far(window.projection, left)
-    common = kept = far = 0.0
-    for parallax in (*_PARALLAXES, *(field.near * np.array(_NEARER))):
-        right = Directions(np.arctan(np.tan(left.off) - parallax), left.about)
-        seen = np.isfinite(viewers[1].pixels(right)[:, 0])
-        common += float(weights[seen].sum())
-        kept += float(weights[seen & in_left[0] & _held(window, 1, right)].sum())
-        far += float(weights[seen & (in_left[1] | _is_far(window.projection, right))].sum())
-    if not common:
-        return replace(window, kept=0.0, reason=_reason(window.projection, 1.0, 0.0, options))
-    reason = _reason(window.projection, 1 - kept / common, far / common, options)
-    return replace(window, kept=kept / common, reason=reason)
+    found = []
+    for side, sign in ((0, -1), (1, 1)):
+        here, weights = viewers[side].spread()
+        in_here, far_here = _held(window, side, here), _is_far(window.projection, here)
+        common = kept = far = 0.0
+        for parallax in (*(share / np.cos(here.off) for share in _NEARNESS), *(field.near * np.array(_NEARER))):
+            there = Directions(np.arctan(np.tan(here.off) + sign * parallax), here.about)
+            seen = np.isfinite(viewers[1 - side].pixels(there)[:, 0])
+            common += float(weights[seen].sum())
+            kept += float(weights[seen & in_here & _held(window, 1 - side, there)].sum())
+            far += float(weights[seen & (far_here | _is_far(window.projection, there))].sum())
+        found.append((kept / common, far / common) if common else (0.0, 0.0))
+    share, far = min(found)
+    return replace(window, kept=share, reason=_reason(window.projection, 1 - share, far, options))
 
 
 def _held(window: Window, side: int, where: Directions) -> BoolArray:

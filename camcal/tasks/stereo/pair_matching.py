@@ -97,7 +97,7 @@ def match_images(
     if model is not None:
         found = Matched(_by_network(left, right, model), 0.0, pixels, (), ())
     else:
-        found = _matched(left, right, matching, jobs, valid, images)
+        found = _matched(left, right, matching, jobs, images)
     disparity = found.disparity
     if valid is not None:
         # that the range ends at what is infinitely far is no fault of the range
@@ -116,17 +116,14 @@ def _transposed(image: Array) -> Array:
     return np.ascontiguousarray(image.swapaxes(0, 1))
 
 
-def _matched(
-    left: Array, right: Array, matching: MatchOptions, jobs: int | None, valid: Masks | None, images: PairImages
-) -> Matched:
+def _matched(left: Array, right: Array, matching: MatchOptions, jobs: int | None, images: PairImages) -> Matched:
     prepared = prepare(
         left,
         right,
         matching.search,
-        align=matching.aligns,
+        align=matching.align_rows,
         expose=matching.expose_alike,
         farthest=images.known.farthest,
-        valid=valid,
     )
     if images.valid is not None and matching.search is None:
         prepared = _before_the_cameras(prepared, images.known.farthest)

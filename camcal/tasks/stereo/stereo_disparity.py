@@ -33,7 +33,7 @@ _KINDS = ("sigma.tiff", "confidence.png", "vis.png", "left.png")
 
 Pair = tuple[Path, Path]
 Limits = tuple[float, float]
-_AT_THE_END = 0.01  # share of the pixels in the last pixel of the range that is no chance
+_AT_THE_END = 0.02  # share of the matches in the last pixel of the range that is no chance
 
 
 class MapFiles(NamedTuple):
@@ -57,7 +57,7 @@ class Figures:
     """A map in numbers.
 
     size: (width, height), pixels. searched: smallest and largest disparity searched for, pixels. at_ends: shares of the
-    pixels whose best match lies at either of them. matched: share of those that are matched and not filled. filled:
+    matches that lie at either of them. matched: share of those that are matched and not filled. filled:
     share that is. classes: share of each `Confidence`. median: of the disparities, pixels, None without any. sigma:
     median of their standard deviations, pixels, None if unknown.
     """

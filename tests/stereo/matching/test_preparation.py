@@ -2,10 +2,31 @@
 
 import numpy as np
 import pytest
-from textured import noisy, textured_pair, waves
+from textured import darker, noisy, textured_pair, waves
 
 from camcal.stereo.matching.preparation import prepare
 from camcal.stereo.pair.pair_check import SWAPPED
+
+
+@pytest.mark.parametrize("exposed", ["left", "right"])
+@pytest.mark.parametrize(("gamma", "gain", "offset"), [(1.4, 0.8, 10), (1.5, 0.7, 8), (1.0, 0.7, 0)])
+def test_the_image_of_less_contrast_is_brought_to_the_exposure_of_the_other(exposed, gamma, gain, offset):
+    images = dict(zip(("left", "right"), textured_pair(waves(12, 30)), strict=True))
+    changed = images | {exposed: darker(images[exposed], gamma, gain, offset)}
+    found = prepare(**changed).pair
+    other = "right" if exposed == "left" else "left"
+    np.testing.assert_array_equal(getattr(found, other), images[other])
+    off = np.abs(getattr(found, exposed).astype(int) - images[exposed])
+    assert np.quantile(off, 0.95) <= 3  # gray levels; those of the dark end are rounded to one count
+    np.testing.assert_array_equal(getattr(prepare(**changed, expose=False).pair, exposed), changed[exposed])
+
+
+def test_a_wall_that_only_one_camera_shows_is_no_exposure():
+    left, right = textured_pair(waves(110, 130))
+    left[:, :100] = np.clip(left[:, :100] // 4 + 190, 0, 255)  # histograms differ by 100 gray levels
+    pair = prepare(left, right).pair
+    np.testing.assert_array_equal(pair.left, left)
+    np.testing.assert_array_equal(pair.right, right)
 
 
 def test_a_range_all_behind_infinity_is_a_failure_without_alignment():

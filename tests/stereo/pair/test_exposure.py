@@ -14,7 +14,8 @@ def pair():
 
 
 def exposure(left, right):
-    return exposure_of(left, right, vertical_residual(left, right))
+    residual = vertical_residual(left, right)
+    return exposure_of(left, right, residual.pixels, residual.partners)
 
 
 @pytest.mark.parametrize(

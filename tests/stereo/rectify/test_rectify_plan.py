@@ -218,6 +218,67 @@ def test_what_is_not_kept_is_said():
     assert forced.focal > 0
 
 
+@pytest.mark.parametrize(("roll", "rotated"), [(30, []), (88, ["right"]), (-120, ["right"]), (180, ["right"])])
+def test_a_camera_mounted_at_another_roll_is_said_to_be_rotated(roll, rotated):
+    plan = plan_rectification({"left": NARROW, "right": NARROW}, placed((0.2, 0.0, 0.0), (0, 0, roll)))
+    said = [warning for warning in plan.warnings if warning.code == "rotated_images"]
+    assert [warning.values["rotation_deg"] for warning in said] == [pytest.approx(abs(roll), abs=6) for _ in rotated]
+    assert all(
+        f"rectified images of {name} are rotated by" in each.text for name, each in zip(rotated, said, strict=True)
+    )
+
+
+def test_axes_that_meet_next_to_the_cameras_are_said():
+    plan = plan_rectification({"left": WIDE, "right": WIDE}, placed((0.2, 0.0, 0.0), (0, -75, 0)))
+    (warning,) = (each for each in plan.warnings if each.code == "converging_cameras")
+    assert warning.values["baselines"] == pytest.approx(1 / np.tan(np.radians(75)), rel=1e-6)
+
+
+def test_of_150_rigs_in_any_orientation_each_is_upright_and_whole_or_refused_or_said():
+    rng = np.random.default_rng(15)
+    said = {"rotated_images", "field_not_kept", "converging_cameras"}
+    counts = dict.fromkeys(("good", "said", "refused"), 0)
+    while sum(counts.values()) < 150:
+        lens = NARROW if rng.random() < 0.5 else WIDE
+        direction, roll = rng.normal(size=3), rng.uniform(-180, 180) if rng.random() < 0.5 else rng.normal(0, 15)
+        pose = placed(0.2 * direction / np.linalg.norm(direction), (*rng.normal(0, 15, 2), roll))
+        try:
+            plan = plan_rectification({"left": lens, "right": lens}, pose)
+        except InsufficientData:
+            counts["refused"] += 1
+            continue
+        if said & {warning.code for warning in plan.warnings}:
+            counts["said"] += 1
+            continue
+        assert median_turn(lens, plan.rect_R_left, plan.left_camera) < 60
+        assert median_turn(lens, plan.rect_R_right, plan.right_camera) < 60
+        assert share_held(plan, lens, pose) > 0.85
+        counts["good"] += 1
+    assert counts["good"] > 30
+
+
+def median_turn(lens, rotation, camera):
+    """Return by what angle (degrees, median) what the lens sees is turned in the rectified images."""
+    grid = np.meshgrid(*(np.linspace(0.5, side - 1.5, 30) for side in camera.image_size))
+    here = np.column_stack([axis.ravel() for axis in grid])
+    beside = here + np.array([0.5, 0])
+    first, second = (lens.project(camera.unproject(each).directions @ rotation).pixels for each in (here, beside))
+    with np.errstate(invalid="ignore"):
+        seen = ((first >= 0) & (first <= np.array(lens.image_size) - 1)).all(axis=1)
+    step = (second - first)[seen]
+    return float(np.nanmedian(np.abs(np.degrees(np.arctan2(step[:, 1], step[:, 0])))))
+
+
+def share_held(plan, lens, pose):
+    """Return the share of the points from 3 baselines on, which both cameras see, that both rectified images hold."""
+    held = []
+    for distance in (0.6, 2.0, 200.0):
+        points = common_points(lens, lens, pose, distance)
+        pixels = rectified_pixels(plan, ("left", "right"), points, pose)
+        held.append(np.logical_and(*(inside(plan, each) for each in pixels)))
+    return np.mean(np.concatenate(held))
+
+
 def test_one_centre_for_both_where_it_is_asked_for():
     first, second, pose, *_ = KINDS["strongly toed-in"]
     assert planned(first, second, pose).doffs != 0
