@@ -40,9 +40,13 @@ def missing(owner: str, name: str, known: Sequence[str]) -> AttributeError:
     """Return the error of a name that an object or module does not have, with the right one if there is one."""
     from camcal.parsing import did_you_mean
 
-    public = [each for each in known if not each.startswith("_")]
-    hint = f"; use {ELSEWHERE[name]}" if name in ELSEWHERE else did_you_mean(name, public)
-    return AttributeError(f"{owner} has no attribute {name!r}{hint if not name.startswith('_') else ''}")
+    if name in ELSEWHERE:
+        hint = f"; use {ELSEWHERE[name]}"
+    elif name.startswith("_"):  # what Python itself looks for, often in vain
+        hint = ""
+    else:
+        hint = did_you_mean(name, [each for each in known if not each.startswith("_")])
+    return AttributeError(f"{owner} has no attribute {name!r}{hint}")
 
 
 def _described(record: Any) -> str:

@@ -61,7 +61,7 @@ CORE = ("fx", "fy", "cx", "cy", "skew")  # named under intrinsics; all others ar
 PROJECTION_FIGURES = ("centre_px", "rms_px", "median_px", "p95_px", "max_px", "inside_rms_px", "inside_max_px")
 
 _FOCAL = ("fx", "fy")
-_POSITIVE = number(above=0, hint=" (mirrored image? flip the image instead)")
+_POSITIVE = number(1e-3, 1e10, above=0, hint=" (mirrored image? flip the image instead)")  # px
 _UNCERTAINTY = mapping(
     {},
     {

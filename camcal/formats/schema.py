@@ -16,7 +16,7 @@ VENDOR = "x_"
 
 
 def number(low: float = -math.inf, high: float = math.inf, *, above: float = -math.inf, hint: str = "") -> Check:
-    """Return a check for a finite number in [low, high] and, if given, strictly above `above`."""
+    """Return a check for a finite number in [low, high] and, if given, strictly above `above`, else `hint` is said."""
 
     def check(value: Any, path: str) -> Iterator[Fault]:
         if (text := _not_a_number(value)) is not None:
@@ -24,7 +24,7 @@ def number(low: float = -math.inf, high: float = math.inf, *, above: float = -ma
         elif not value > above:
             yield Fault(path, f"{value!r} must be > {above:g}{hint}")
         elif not low <= value <= high:
-            yield Fault(path, f"{value!r} is outside [{low:g}, {high:g}]{hint}")
+            yield Fault(path, f"{value!r} is outside [{low:g}, {high:g}]")
 
     return check
 

@@ -41,6 +41,7 @@ __all__ = [
 ]
 
 LARGEST = 1000  # a side
+LENGTHS = 1e-6, 100.0  # m, of squares, markers and discs
 
 
 @dataclass(frozen=True)
@@ -189,6 +190,8 @@ def _require_lengths(board: Board) -> None:
     lengths = [length for length in (board.square, board.marker, board.diameter) if length is not None]
     if not all(np.isfinite(length) and length > 0 for length in lengths):
         raise InvalidInput("lengths of a board must be positive")
+    if any(not LENGTHS[0] <= length <= LENGTHS[1] for length in lengths):
+        raise InvalidInput(f"lengths of a board are from {1e6 * LENGTHS[0]:g} µm to {LENGTHS[1]:g} m")
     kind = BOARD_TYPES[board.type]
     if kind.needs and (board.marker is None or board.dictionary is None):
         raise InvalidInput(kind.needs)

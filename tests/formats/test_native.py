@@ -303,6 +303,8 @@ FAULTS = {
     ("fx: 458.5", "fx: -458.5"): (
         "9: cameras.left.intrinsics.fx: -458.5 must be > 0 (mirrored image? flip the image instead)"
     ),
+    ("fx: 458.5", "fx: 2.0e+10"): "9: cameras.left.intrinsics.fx: 20000000000.0 is outside [0.001, 1e+10]",
+    ("fx: 458.5", "fx: 0.0005"): "9: cameras.left.intrinsics.fx: 0.0005 is outside [0.001, 1e+10]",
     ("[752, 480]", "[752]"): "7: cameras.left.image_size: 1 items; 2 are needed",
     ("[752, 480]", "[752, 0]"): "7: cameras.left.image_size[1]: 0 must be at least 1",
     ("[752, 480]", "[752, 480.0]"): "7: cameras.left.image_size[1]: 480.0 is not a whole number",

@@ -157,6 +157,8 @@ def test_a_board_is_called_by_what_one_counts_on_it(form, words):
         ),
         ({"type": "aprilgrid", "columns": 6, "rows": 6, "dictionary": "tag36h11"}, "needs the side of a tag"),
         ({"type": "circles", "columns": 9, "rows": 6, "square": float("nan")}, "must be positive"),
+        ({"type": "circles", "columns": 9, "rows": 6, "square": 0.5e-6}, r"from 1 µm to 100 m"),
+        ({"type": "circles", "columns": 9, "rows": 6, "square": 200.0}, r"from 1 µm to 100 m"),
         ({"type": "asymmetric_circles", "columns": 4, "rows": 1001}, "limit of 1000 a side"),
     ],
 )
