@@ -92,7 +92,8 @@ def test_a_verdict_is_said_by_words_and_a_sign_beside_its_colour(browser, page):
     browser.open(page)
     assert browser.evaluate("document.querySelector('.verdict h2').innerText.trim()") == "Trustworthy, with 1 warning"
     assert browser.evaluate("document.querySelector('.verdict h2 svg').getBoundingClientRect().width") > 15
-    assert "Hold camera and board still" in browser.evaluate("document.querySelector('.verdict').innerText")
+    warnings = browser.evaluate("document.querySelector('[aria-labelledby=warnings]').innerText")
+    assert "Hold camera and board still" in warnings
 
 
 def test_the_page_prints_on_white_paper_without_cut_figures(browser, page, theme):
