@@ -28,7 +28,7 @@ class Brief:
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
         if "__repr__" not in cls.__dict__:
-            cls.__repr__ = _described  # type: ignore[method-assign] # dataclasses keep one of the class's own
+            cls.__repr__ = _describe  # type: ignore[method-assign] # dataclasses keep one of the class's own
 
     if not TYPE_CHECKING:  # to which every name would exist
 
@@ -49,7 +49,7 @@ def missing(owner: str, name: str, known: Sequence[str]) -> AttributeError:
     return AttributeError(f"{owner} has no attribute {name!r}{hint}")
 
 
-def _described(record: Any) -> str:
+def _describe(record: Any) -> str:
     shown = [
         f"{own.name}={_value(getattr(record, own.name))}"
         for own in fields(record)

@@ -15,7 +15,7 @@ from camcal.calibrate.fit import CalibrationFit, ShapeOptions, averaged_fit, fit
 from camcal.calibrate.influence import influence
 from camcal.calibrate.jackknife import predict_views
 from camcal.calibrate.noise import REJECTED
-from camcal.calibrate.problem import POSE, BoardProblem, State
+from camcal.calibrate.problem import POSE, BoardProblem
 from camcal.calibrate.refusals import (
     MIN_VIEWS,
     SAME_VIEW_PX,
@@ -166,7 +166,7 @@ def solve(detections: Sequence[BoardDetection], board: Board, options: Options) 
         images = [view.image for view in usable]
         cameras = two_cameras(plain, images, size, options.shape, options.named_groups)
         if plain.converged:  # before errors within views are modelled, which would take long for a wrong lens
-            _require_plausible(plain.problem, plain.state, images, options, cameras)
+            _require_plausible(plain, images, options, len(detections), cameras)
         result = fit(plain, turns, size)
     except (SingularError, np.linalg.LinAlgError) as error:
         raise InsufficientData(
@@ -180,7 +180,7 @@ def solve(detections: Sequence[BoardDetection], board: Board, options: Options) 
         raise NotConverged(
             f"calibration not converged after {result.plain.passes} passes with the lens model {options.model.name}"
         )
-    _require_plausible(result.problem, result.state, images, options, cameras)
+    _require_plausible(result, images, options, len(detections), cameras)
     return Solved(result, tuple(detections), tuple(reasons), size, cameras)
 
 
@@ -206,7 +206,7 @@ def compare_models(
             solved = Solved(brief, tuple(detections), tuple(reasons), size, None)
             candidate = CandidateModel(model.name, scores, corners, sigma)
             try:
-                _require_plausible(brief.problem, brief.state, solved.images, replace(options, model=model))
+                _require_plausible(brief, solved.images, replace(options, model=model), len(detections))
                 found = record(solved, _pose_covariances(brief), BetweenViews())
                 result.append(replace(candidate, calibration=found))
             except InsufficientData as error:
@@ -281,16 +281,24 @@ def _held(options: Options, size: tuple[int, int]) -> tuple[Array, Array | None]
 
 
 def _require_plausible(
-    problem: BoardProblem, state: State, images: Sequence[str], options: Options, cameras: TwoCameras | None = None
+    fit: CalibrationFit | Estimate,
+    images: Sequence[str],
+    options: Options,
+    total: int,
+    cameras: TwoCameras | None = None,
 ) -> None:
-    """Raise InsufficientData where a solution cannot be one of this board and this lens; images: of its views."""
+    """Raise InsufficientData where a solution cannot be one of this board and this lens.
+
+    images: of its views; total: how many there were to begin with.
+    """
+    problem, state = fit.problem, fit.state
     residuals = problem.residuals(state)
     used = _kept(problem, residuals).any(axis=1)
     if used.sum() >= MIN_VIEWS:
         require_tilts(state.rotations[used])
     found = misfit(problem, state, residuals, options.max_rejected)
     require_fit(found, images, options.max_rejected, options.model.name, cameras)
-    require_views(int(used.sum()), len(images), 0)
+    require_views(int(used.sum()), total, 0)
 
 
 def _kept(problem: BoardProblem, residuals: Array) -> Array:

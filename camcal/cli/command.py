@@ -243,16 +243,16 @@ def _parameter(each: Declared) -> inspect.Parameter:
         kind = tuple.__class_getitem__((str,) * each.option.values)
     help_ = each.option.help if isinstance(each.option.help, str) else value_name(each)  # typer shows it in completions
 
-    def completed(incomplete: str) -> list[str]:
+    def complete(incomplete: str) -> list[str]:
         known = each.option.choices or (each.option.suggested() if each.option.suggested else ())
         return [value for value in known if value.startswith(incomplete)]
 
     if each.positional:
-        info: Any = typer.Argument(metavar=each.option.metavar or None, help=help_, autocompletion=completed)
+        info: Any = typer.Argument(metavar=each.option.metavar or None, help=help_, autocompletion=complete)
     else:
         names = [f"{each.name}/{each.opposite}" if each.opposite else each.name, *each.spellings[1:]]
         info = typer.Option(
-            *names, metavar=None if each.flag else value_name(each), help=help_, autocompletion=completed
+            *names, metavar=None if each.flag else value_name(each), help=help_, autocompletion=complete
         )
     default = inspect.Parameter.empty if each.required else None
     return inspect.Parameter(

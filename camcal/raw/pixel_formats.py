@@ -135,9 +135,8 @@ def pixel_format_named(name: str) -> PixelFormat:
 
 
 def _nearest(name: str) -> str:
-    known = {other.casefold(): other for each in FORMATS for other in each.names}
-    near = nearest(name.casefold(), known)
-    hint = f"did you mean {known[near]}? " if near else ""
+    near = nearest(name, [other for each in FORMATS for other in each.names])
+    hint = f"did you mean {near}? " if near else ""
     suffixes = "|".join(each.suffix for each in _FAMILIES if not each.suffix.startswith("RAW"))
     return f"{hint}there are Mono and BayerRG|GR|GB|BG with {suffixes}, and SRGGB10_CSI2P (12, 14) for MIPI"
 

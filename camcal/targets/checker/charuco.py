@@ -224,14 +224,14 @@ def find_charuco(gray: Array, board: Board) -> BoardDetection:
     Raises InvalidInput if the dictionary is unknown or too small.
     """
     require_markers(board)
-    found = _found(gray, board)
+    found = _find(gray, board)
     if found.found or not len(found.refused):
         return found
-    inverted = _found(np.asarray(_WHITE - gray), board)
+    inverted = _find(np.asarray(_WHITE - gray), board)
     return replace(inverted, inverted=True) if inverted.found else found
 
 
-def _found(gray: Array, board: Board) -> BoardDetection:
+def _find(gray: Array, board: Board) -> BoardDetection:
     """Return the corners of a board of dark markers on white, or the reason why there are none."""
     legacies = _legacies(board)
     best, most = BoardDetection.nothing(f"no marker of {board.dictionary} found"), 0
