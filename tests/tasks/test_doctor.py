@@ -44,7 +44,7 @@ def test_this_environment_is_complete():
     [
         ({"numpy": "1.26.4"}, "numpy: version 1.26.4 is not >= 2.0; pip install 'numpy>=2.0'"),
         ({"typer": "0.30.1"}, "typer: version 0.30.1 is not < 0.30; pip install 'typer<0.30,>=0.29'"),
-        ({"rawpy": None}, "rawpy: not installed; pip install 'rawpy>=0.24'"),
+        ({"rawpy": None}, "rawpy: not installed; pip install 'rawpy>=0.27'"),
     ],
 )
 def test_a_package_that_does_not_fit_is_named_with_the_remedy(versions, changed, problem):
