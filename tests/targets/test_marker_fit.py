@@ -123,3 +123,24 @@ def test_nothing_is_fitted_outside_the_image_or_to_an_even_one():
     assert fit_marker(gray, CORNERS + 500, DRAWING) is None
     even = fit_marker(gray, CORNERS + np.array([40, 30]), DRAWING)
     assert even is None or even.agreement < 0.1
+
+
+def test_gamma_does_not_change_the_side_of_a_tag():
+    """Light is blurred before a camera encodes it as sRGB: the edges' 50 % places move into the black."""
+
+    def srgb(light):
+        return np.where(light < 0.0031308, 12.92 * light, 1.055 * np.maximum(light, 1e-9) ** (1 / 2.4) - 0.055)
+
+    def ratio(tag):
+        corners = CORNERS + 60 + np.random.default_rng(tag).uniform(-0.5, 0.5, 2)
+        drawing = family_named("tag36h11").drawing(tag)
+        pixels = np.stack(np.meshgrid(np.arange(120.0), np.arange(120.0)), axis=-1).reshape(-1, 2)
+        entries = fit.homography(corners)
+        places = fit.places_of(entries, pixels)
+        blurred = drawing.blurred(places, fit.straight(entries, places).gradients, 1.2).value
+        gray = np.rint(255 * srgb(0.04 + 0.81 * blurred)).reshape(120, 120).astype(np.uint8)
+        both = corners, fit_marker(gray, corners, drawing).corners
+        sides = [np.linalg.norm(four - np.roll(four, 1, axis=0), axis=1).sum() for four in both]
+        return sides[1] / sides[0] - 1
+
+    assert abs(np.mean([ratio(tag) for tag in range(6)])) < 1e-3  # a parabola for the tone curve: 5e-3

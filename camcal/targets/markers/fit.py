@@ -2,9 +2,10 @@
 
 Which cells of a marker are white is known once it has been read, so that all of its edges say where it is, not its
 border alone. The image is modelled as  level + contrast · f(drawing(u, v)):  the drawing blurred by a Gaussian, the
-level a plane, the contrast a quadratic over the image, and f(t) = t + c t (1 - t), since gamma, which acts on what is
-blurred already, makes white grow. cv2.aruco's ways are off by 0.1 to 0.5 px on the same markers
-(benchmarks/markers.py).
+level a plane, the contrast a quadratic over the image, and f the tone curve, since gamma and clipping act on what is
+blurred already and make white grow:  logit g = logit t + c,  f = g + d g (1 - g) (1 - 2 g).  A parabola lacks the steep
+shadows of sRGB and enlarges tags by up to 0.5 % (benchmarks/tag_edges.py). cv2.aruco's ways are off by 0.1 to 0.5 px on
+the same markers (benchmarks/markers.py).
 
 The drawing is placed by a homography and by what a lens adds that bends straight lines:
     (x, y) = H(u, v) + Σ kᵢ Bᵢ(u, v)        u, v from -1 to 1 across the marker, x, y in pixels
@@ -166,14 +167,14 @@ _HORIZON = 0.05  # least distance of a corner from the horizon, of the middle's
 _SHARPEST, _BLURRIEST = -0.5 * np.log(12), 4.0  # logarithms of the blur: of a pixel's own square, and of 55 px
 _MAD = 1.4826  # standard deviations of a normal distribution in a median of absolute values
 
-_ENTRIES, _BENDS, _BLUR, _TONE = slice(0, 8), slice(8, 14), 14, 15
-_LEVEL, _CONTRAST = slice(16, 19), slice(19, 25)
-_COUNT = 25
+_ENTRIES, _BENDS, _BLUR, _TONE, _KNEE = slice(0, 8), slice(8, 14), 14, 15, 16
+_LEVEL, _CONTRAST = slice(17, 20), slice(20, 26)
+_COUNT = 26
 # What may be expected before the image is seen: of radial distortion at the image's corners, of other bends as a share
-# of the marker's side, of the logarithm of the blur (px), and of the tone curve
-_EXPECTED = np.array([0.0] * BENDS + [np.log(0.85), 0.0])
-_SPREAD = np.array([0.5, 0.5, 1e-3, 1e-3, 1e-3, 1e-3, 0.85, 0.5])
-_EXPECTATIONS = np.arange(8, 16)
+# of the marker's side, of the logarithm of the blur (px), and of the tone curve's c and d
+_EXPECTED = np.array([0.0] * BENDS + [np.log(0.85), 0.0, 0.0])
+_SPREAD = np.array([0.5, 0.5, 1e-3, 1e-3, 1e-3, 1e-3, 0.85, 0.5, 0.3])
+_EXPECTATIONS = np.arange(8, 17)
 
 
 @dataclass(frozen=True, eq=False)
@@ -229,8 +230,8 @@ def looks_alike(gray: Array, corners: Array, drawing: MarkerDrawing) -> float:
 
 @dataclass(frozen=True, eq=False)
 class _MarkerProblem:
-    """Residuals, in gray levels, of a marker's drawing; the state is (25,): homography, bends, logarithm of the blur
-    (that of the pixels' own squares included, which is the least), tone curve, plane of the level, quadratic of the
+    """Residuals, in gray levels, of a marker's drawing; the state is (26,): homography, bends, logarithm of the blur
+    (that of the pixels' own squares included, which is the least), tone curve (2), plane of the level, quadratic of the
     contrast.
 
     variance: gray levels², of the noise, as far as it was known beforehand.
@@ -260,20 +261,24 @@ class _MarkerProblem:
         return cls(window, drawing, variance), np.concatenate([parameters[: _LEVEL.start], light])
 
     def evaluated(self, parameters: Array) -> tuple[Array, Array]:
-        """Return model less image (K,) and the derivatives (K, 25)."""
+        """Return model less image (K,) and the derivatives (K, 26)."""
         window, entries = self.window, parameters[_ENTRIES]
         places = places_of(entries, window.pixels - window.bends @ parameters[_BENDS])
         placed = straight(entries, places)
         seen = self.drawing.blurred(places, placed.gradients, np.exp(parameters[_BLUR]))
         level, contrast = window.light[:, :3] @ parameters[_LEVEL], window.light @ parameters[_CONTRAST]
-        bow = seen.value * (1 - seen.value)
-        shown = seen.value + parameters[_TONE] * bow
-        gain = contrast * (1 + parameters[_TONE] * (1 - 2 * seen.value))
+        odds = np.exp(parameters[_TONE])
+        toned = odds * seen.value / (1 + (odds - 1) * seen.value)
+        bow, knee = toned * (1 - toned), parameters[_KNEE]
+        steep = contrast * (1 + knee * (1 - 6 * bow))
+        shown = toned + knee * bow * (1 - 2 * toned)
+        gain = steep * odds / (1 + (odds - 1) * seen.value) ** 2
         slope = -gain[:, None] * _along(seen.slope, placed.gradients)
         jacobian = np.empty((len(places), _COUNT))
         jacobian[:, _ENTRIES], jacobian[:, _BENDS] = _along(slope, placed.by_entries), _along(slope, window.bends)
         jacobian[:, _BLUR] = gain * seen.by_blur
-        jacobian[:, _TONE] = contrast * bow
+        jacobian[:, _TONE] = steep * bow
+        jacobian[:, _KNEE] = contrast * bow * (1 - 2 * toned)
         jacobian[:, _LEVEL], jacobian[:, _CONTRAST] = window.light[:, :3], window.light * shown[:, None]
         return level + contrast * shown - window.values, jacobian
 
