@@ -22,7 +22,7 @@ from camcal.cli import examples, show
 from camcal.errors import EXIT_BUG, EXIT_INTERRUPTED, EXIT_SIGNAL, FileError, InvalidInput, in_one_line, translated
 from camcal.images import limits
 from camcal.parsing import nearest
-from camcal.run.process import BLAS_THREADS, Stopped, stop_on_signals
+from camcal.run.process import BLAS_THREADS, Stopped, require_address_space, stop_on_signals
 
 
 class Entry(NamedTuple):
@@ -269,11 +269,12 @@ app = typer.Typer(
 
 @app.callback()
 def camcal(
-    version: Annotated[
+    version: Annotated[  # noqa: ARG001 its callback has done all
         bool, typer.Option("--version", is_eager=True, callback=_show_version, help="Print the version and exit.")
     ] = False,
 ) -> None:
     """Calibrate, rectify and measure with cameras from the shell, and know when not to trust the result."""
+    require_address_space()
 
 
 def main() -> None:

@@ -31,7 +31,9 @@ _NARROWEST = 40  # cells: no line is made shorter
 _LONGEST = 4000  # characters of a line on stderr
 _QUOTED = 100  # characters of a quotation that is shortened
 _QUOTATION = re.compile(r"""(['"])((?:(?!\1).){200,})\1""")
-_STEERING = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069\ud800-\udfff]")
+_STEERING = re.compile(  # of a terminal, of the direction of writing, or without a width
+    r"[\x00-\x08\x0b-\x1f\x7f-\x9f\xad\u061c\u180e\u200b-\u200f\u2028-\u202e\u2060-\u206f\ud800-\udfff\ufeff]"
+)
 
 
 @dataclass

@@ -15,8 +15,10 @@ so that they are read back bit for bit.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from itertools import chain, islice
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -24,7 +26,7 @@ from camcal import files
 from camcal.arrays import Array
 from camcal.cameras.validity import ImageCircle
 from camcal.errors import InvalidInput, Located
-from camcal.formats import vnl
+from camcal.formats import emit, vnl
 from camcal.formats.boards import short_form
 from camcal.formats.tables import (
     COVARIANCE,
@@ -33,8 +35,7 @@ from camcal.formats.tables import (
     cell,
     csv_rows,
     far_outside,
-    numbered,
-    numbered_lines,
+    iterate_lines,
     pixel_covariances,
 )
 from camcal.parsing import parse_integer
@@ -49,8 +50,32 @@ COLUMNS = ("image", "width", "height", "id", "u", "v")
 OPTIONAL = ("camera", "orientation", *COVARIANCE)
 MAX_COUNT = 1_000_000
 MAX_SIDE = 1_000_000
+_BLOCK = 2000  # rows that are held as text at a time; as cells, one takes a kilobyte
 
 Placed = tuple[int, BoardDetection]  # with the line on which the file first names the image
+Keys = dict[tuple[str, str], int]  # the number of each view by its camera and image
+
+
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    """Rows of a file: lines (N,), numbers of their views (N,), ids (N,), pixels (N, 2), sizes (N, 2), orientations
+    (N, 1), covariances (N, 2, 2) or None.
+    """
+
+    lines: Array
+    views: Array
+    ids: Array
+    pixels: Array
+    sizes: Array
+    orientations: Array
+    covariance: Array | None
+
+    @classmethod
+    def joined(cls, parts: Sequence["_Rows"]) -> "_Rows":
+        """Return the rows of all parts, at least one."""
+        columns = zip(*(vars(part).values() for part in parts), strict=True)
+        whole: list[Any] = [None if column[0] is None else np.concatenate(column) for column in columns]
+        return cls(*whole)
 
 
 def read(path: str | Path, board: Board | None = None, image_size: vnl.ImageSize | None = None) -> Detections:
@@ -75,21 +100,41 @@ def write(path: str | Path, detections: Detections) -> None:
 
 def read_csv(path: Path, board: Board | None = None) -> Detections:
     """Return the detections in a CSV file; `board` takes the place of the board the file names."""
-    return _of_lines(str(path), numbered_lines(path), board)
+    return _of_lines(str(path), iterate_lines(files.read_text(path), str(path)), board)
 
 
 def parse_csv(text: str, where: str, board: Board | None = None) -> Detections:
     """Return the detections in the text of a CSV file, as `read_csv` does; where: what messages call it."""
-    return _of_lines(where, numbered(text, where), board)
+    return _of_lines(where, iterate_lines(text, where), board)
 
 
-def _of_lines(where: str, lines: Lines, board: Board | None) -> Detections:
-    board = _board(where, lines[0][1] if lines else "", board)
-    nothing = [(number, _nothing(where, number, line)) for number, line in lines if line.startswith(NONE)]
-    views = [*nothing, *_views(Table.from_csv(where, lines, COLUMNS, OPTIONAL), board)]
+def _of_lines(where: str, lines: Iterator[tuple[int, str]], board: Board | None) -> Detections:
+    first = list(islice(lines, 1))
+    board = _board(where, first[0][1] if first else "", board)
+    remarks: list[tuple[int, str]] = []
+    views = _views(where, _tables(where, chain(first, lines), remarks), board)
+    views += [(number, _nothing(where, number, line)) for number, line in remarks if line.startswith(NONE)]
     views.sort(key=lambda view: view[0])
     _refuse_repeats(where, views)
-    return Detections(board, tuple(view for _, view in views), _circles(where, lines))
+    _refuse_long(where, views)
+    return Detections(board, tuple(view for _, view in views), _circles(where, remarks))
+
+
+def _tables(where: str, lines: Iterator[tuple[int, str]], remarks: list[tuple[int, str]]) -> Iterator[Table]:
+    """Yield the rows of a file in blocks, at least one; lines that begin with # are added to `remarks`."""
+
+    def split() -> Iterator[tuple[int, str]]:
+        for line in lines:
+            if line[1].startswith("#"):
+                remarks.append(line)
+            else:
+                yield line
+
+    rows = split()
+    header, block = list(islice(rows, 1)), list(islice(rows, _BLOCK))
+    yield Table.from_csv(where, header + block, COLUMNS, OPTIONAL)
+    while block := list(islice(rows, _BLOCK)):
+        yield Table.from_csv(where, header + block, COLUMNS, OPTIONAL)
 
 
 def _board(path: str, first: str, given: Board | None) -> Board | None:
@@ -161,47 +206,57 @@ def _circle(path: str, number: int, line: str) -> tuple[str, ImageCircle]:
     return "".join(cells[5:]), ImageCircle((width, height), (u, v), radius)
 
 
-def _views(table: Table, board: Board | None) -> list[Placed]:
+def _views(path: str, tables: Iterator[Table], board: Board | None) -> list[Placed]:
     """Return the views with points, each with its first line."""
-    if not len(table):
+    keys: Keys = {}
+    rows = _Rows.joined([_rows_of(table, board, keys) for table in tables])
+    if not keys:
         return []
-    keys: dict[tuple[str, str], int] = {}
-    images, cameras = table.columns["image"], table.columns.get("camera", [""] * len(table))
-    view_of_row = np.array([keys.setdefault(key, len(keys)) for key in zip(cameras, images, strict=True)])
-    rows = np.split(np.argsort(view_of_row, kind="stable"), np.cumsum(np.bincount(view_of_row))[:-1])
-    first = np.array([group[0] for group in rows])[view_of_row]
-    ids, covariance = _ids(table, board, view_of_row), _covariance(table)
-    pixels = np.column_stack([table.numbers("u"), table.numbers("v")])
-    sizes = _same_in_view(table, "size", _sizes(table), first)
-    orientations = _same_in_view(table, "orientation", _orientations(table), first)
-    _refuse_outside(table, pixels, sizes)
+    names, groups = list(keys), np.split(np.argsort(rows.views, kind="stable"), np.cumsum(np.bincount(rows.views))[:-1])
+    first = np.array([group[0] for group in groups])
+    _refuse_repeated_ids(path, rows, names)
+    _refuse_changes(path, "size", rows, rows.sizes, first, names)
+    _refuse_changes(path, "orientation", rows, rows.orientations, first, names)
     return [
         (
-            table.lines[group[0]],
+            int(rows.lines[group[0]]),
             BoardDetection(
                 image,
-                (int(sizes[group[0], 0]), int(sizes[group[0], 1])),
-                ids[group],
-                pixels[group],
-                _covariance_of_view(table, covariance, group),
+                (int(rows.sizes[group[0], 0]), int(rows.sizes[group[0], 1])),
+                rows.ids[group],
+                rows.pixels[group],
+                _covariance_of_view(path, rows, group),
                 camera,
-                orientation=int(orientations[group[0], 0]),
+                orientation=int(rows.orientations[group[0], 0]),
             ),
         )
-        for (camera, image), group in zip(keys, rows, strict=True)
+        for (camera, image), group in zip(names, groups, strict=True)
     ]
 
 
-def _ids(table: Table, board: Board | None, view_of_row: Array) -> Array:
-    """Return the ids (N,), each at most once in a view."""
-    count = board.count if board else MAX_COUNT
-    ids = table.integers("id", 0, count - 1)
-    pairs = view_of_row * count + ids
-    order = np.argsort(pairs, kind="stable")
-    repeated = np.zeros(len(ids), dtype=bool)
-    repeated[order[1:]] = np.diff(pairs[order]) == 0
-    table.refuse(repeated, lambda row: f"image {table.columns['image'][row]!r}: id {ids[row]} occurs twice")
-    return ids
+def _rows_of(table: Table, board: Board | None, keys: Keys) -> _Rows:
+    """Return the rows of a table; the views that it names first are added to `keys`."""
+    images, cameras = table.columns["image"], table.columns.get("camera", [""] * len(table))
+    rows = _Rows(
+        np.array(table.lines, dtype=np.int64),
+        np.array([keys.setdefault(key, len(keys)) for key in zip(cameras, images, strict=True)], dtype=np.int64),
+        table.integers("id", 0, (board.count if board else MAX_COUNT) - 1),
+        np.column_stack([table.numbers("u"), table.numbers("v")]),
+        _sizes(table),
+        _orientations(table),
+        _covariance(table),
+    )
+    _refuse_outside(table, rows.pixels, rows.sizes)
+    return rows
+
+
+def _refuse_repeated_ids(path: str, rows: _Rows, names: Sequence[tuple[str, str]]) -> None:
+    order = np.lexsort((rows.ids, rows.views))
+    repeated = np.zeros(len(order), dtype=bool)
+    repeated[order[1:]] = (np.diff(rows.ids[order]) == 0) & (np.diff(rows.views[order]) == 0)
+    Table(path, {}, rows.lines.tolist()).refuse(
+        repeated, lambda row: f"image {names[rows.views[row]][1]!r}: id {rows.ids[row]} occurs twice"
+    )
 
 
 def _sizes(table: Table) -> Array:
@@ -214,16 +269,18 @@ def _orientations(table: Table) -> Array:
     return table.integers("orientation", 1, 8)[:, None]
 
 
-def _same_in_view(table: Table, what: str, values: Array, first: Array) -> Array:
-    """Return values (N, D), refusing a row that differs from the first one of its view."""
-    table.refuse(
-        (values != values[first]).any(axis=1),
+def _refuse_changes(
+    path: str, what: str, rows: _Rows, values: Array, first: Array, names: Sequence[tuple[str, str]]
+) -> None:
+    """Raise InvalidInput unless all rows of a view have the values (N, K) of its first row."""
+    before = first[rows.views]
+    Table(path, {}, rows.lines.tolist()).refuse(
+        np.asarray((values != values[before]).any(axis=1)),
         lambda row: (
-            f"image {table.columns['image'][row]!r}: {what} {' x '.join(map(str, values[row]))} "
-            f"here, {' x '.join(map(str, values[first[row]]))} at line {table.lines[first[row]]}"
+            f"image {names[rows.views[row]][1]!r}: {what} {' x '.join(map(str, values[row]))} "
+            f"here, {' x '.join(map(str, values[before[row]]))} at line {rows.lines[before[row]]}"
         ),
     )
-    return values
 
 
 def _refuse_outside(table: Table, pixels: Array, sizes: Array) -> None:
@@ -253,15 +310,16 @@ def _covariance(table: Table) -> Array | None:
     return result
 
 
-def _covariance_of_view(table: Table, covariance: Array | None, group: Array) -> Array | None:
-    if covariance is None:
+def _covariance_of_view(path: str, rows: _Rows, group: Array) -> Array | None:
+    if rows.covariance is None:
         return None
-    missing = np.isnan(covariance[group, 0, 0])
+    missing = np.isnan(rows.covariance[group, 0, 0])
     if missing.all():
         return None
-    if missing.any():
-        table.rows(group).refuse(missing, lambda _row: "no covariance here, but in other rows of the same image")
-    return covariance[group]
+    Table(path, {}, rows.lines[group].tolist()).refuse(
+        missing, lambda _row: "no covariance here, but in other rows of the same image"
+    )
+    return np.asarray(rows.covariance[group])
 
 
 def _refuse_repeats(path: str, views: Sequence[Placed]) -> None:
@@ -270,6 +328,15 @@ def _refuse_repeats(path: str, views: Sequence[Placed]) -> None:
         first = lines.setdefault((view.camera, view.image), line)
         if first != line:
             raise InvalidInput(f"image {view.image!r} is already named at line {first}", where=f"{path}:{line}")
+
+
+def _refuse_long(path: str, views: Sequence[Placed]) -> None:
+    """Raise InvalidInput for a text that a camera file could not hold: before the work, not after it."""
+    for line, view in views:
+        for text in (view.image, view.reason or ""):
+            if (length := len(files.utf8(text))) > emit.MAX_TEXT:
+                message = f"{text[:40]}… has {length} bytes; a camera file holds texts of at most {emit.MAX_TEXT}"
+                raise InvalidInput(message, where=f"{path}:{line}")
 
 
 def csv_text(detections: Detections) -> str:

@@ -1,5 +1,6 @@
 """Where a result comes from: the program, the command, the libraries, the board, every image with its hash."""
 
+import hashlib
 import os
 import shlex
 from collections.abc import Iterable, Mapping, Sequence
@@ -8,13 +9,14 @@ from pathlib import Path
 from typing import Any
 
 import camcal
-from camcal import urls
+from camcal import files, urls
 from camcal.errors import InvalidInput
-from camcal.formats import boards
+from camcal.formats import boards, emit
 from camcal.formats.schema import flag, integer, items, mapping, number, plain, text
 from camcal.targets.board import Board
 
 MAX_COMMAND = 1000
+MAX_IMAGES = 5000  # listed one by one: of a rig, each is some 16 of the 100 000 values that a file may have
 OPENCV = (
     "opencv-contrib-python-headless",
     "opencv-contrib-python",
@@ -39,6 +41,7 @@ check = mapping(
         "libraries": mapping({}, others=text),
         "board": mapping({}, others=plain),
         "images": items(_IMAGE),
+        "image_totals": mapping({"listed": integer(0), "used": integer(0), "sha256": text}),
     },
     others=plain,
 )
@@ -47,7 +50,8 @@ check = mapping(
 def build(arguments: Sequence[str], board: Board | None, images: Iterable[Mapping[str, Any]] = ()) -> dict[str, Any]:
     """Return the provenance block of a result.
 
-    arguments: the command line after the program's name. images: {file, sha256, used, points, rms_px, reason} each.
+    arguments: the command line after the program's name. images: {file, sha256, used, points, rms_px, reason} each; of
+    more than MAX_IMAGES there are totals only.
     """
     block: dict[str, Any] = {"tool": "camcal", "tool_version": camcal.__version__, "command": command(arguments)}
     if (stamp := created()) is not None:
@@ -55,8 +59,23 @@ def build(arguments: Sequence[str], board: Board | None, images: Iterable[Mappin
     block["libraries"] = libraries()
     if board is not None:
         block["board"] = boards.block(board)
-    block["images"] = [dict(image) for image in images]
-    return block
+    listed = [dict(image) for image in images]
+    return block | ({"images": listed} if len(listed) <= MAX_IMAGES else {"image_totals": _totals(listed)})
+
+
+def _totals(images: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Return how many images there are and how many of them were used, and a hash of all that a list would say."""
+    digest = hashlib.sha256(files.utf8(emit.json_text({"images": images}))).hexdigest()
+    return {"listed": len(images), "used": sum(image.get("used", True) for image in images), "sha256": digest}
+
+
+def image_counts(block: Mapping[str, Any]) -> tuple[int, int]:
+    """Return how many images a provenance block says were used, and how many there were; zeros where it says none."""
+    if totals := block.get("image_totals"):
+        return totals["used"], totals["listed"]
+    images = block.get("images")
+    listed = images if isinstance(images, list) else []
+    return sum(image.get("used", True) for image in listed), len(listed)
 
 
 def command(arguments: Sequence[str]) -> str:

@@ -203,6 +203,11 @@ def _png(content: bytes) -> Size:
     return width, height
 
 
+def png_has_colour(content: bytes) -> bool:
+    """Return whether the header of a PNG file says that it is in colour: by channels or a palette."""
+    return content[25:26] in (b"\2", b"\3", b"\6")
+
+
 def _jpeg(content: bytes) -> Size:
     size = read_jpeg(content).size
     if size == (0, 0):

@@ -22,6 +22,7 @@ from camcal.raw.mosaic import Mosaic, channel_names, phases
 from camcal.raw.options import PATTERNS
 
 BINS = 64
+_ROWS = 64
 
 _ORDER = ("R", "G", "Gr", "Gb", "B", "gray")
 _CONTAINERS = frozenset({1023.0, 4095.0, 16383.0, 65535.0})  # white levels that say the type and nothing of the sensor
@@ -94,8 +95,11 @@ def _black(frame: Mosaic, row: slice, column: slice) -> float:
 
 
 def _histogram(samples: Array, white: float) -> Array:
-    bins = np.multiply(samples, np.float32(BINS / white), dtype=np.float32)
-    return np.bincount(np.clip(bins, 0, BINS - 1).astype(np.uint8).ravel(), minlength=BINS)
+    counts = np.zeros(BINS, dtype=np.int64)
+    for start in range(0, len(samples), _ROWS):  # bins of all samples at once would take 16 bytes each
+        bins = np.multiply(samples[start : start + _ROWS], np.float32(BINS / white), dtype=np.float32)
+        counts += np.bincount(np.clip(bins, 0, BINS - 1).astype(np.uint8).ravel(), minlength=BINS)
+    return counts
 
 
 class Widened(NamedTuple):

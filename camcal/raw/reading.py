@@ -17,8 +17,8 @@ from camcal.arrays import Array
 from camcal.errors import FileError, InvalidInput, Located
 from camcal.files import read_bytes
 from camcal.images import exif, limits
-from camcal.images.exif import JPEG, read_jpeg
-from camcal.images.load import load
+from camcal.images.exif import JPEG, PNG, read_jpeg
+from camcal.images.load import load, png_has_colour
 from camcal.raw.headerless import read_headerless
 from camcal.raw.mosaic import Capture, Mosaic, cell_side, full_scale, is_x_trans, phases, require_pattern
 from camcal.raw.options import BARE_SUFFIXES, HEADERLESS_SUFFIXES, MONO, NO_LAYOUT, PATTERNS, GivenLayout
@@ -59,6 +59,10 @@ def _read_headerless(path: Path, pattern: str | None, layout: GivenLayout) -> Mo
 def _read_bare(path: Path, pattern: str | None, content: bytes | None) -> Mosaic:
     if pattern is None:
         raise missing_pattern(path)
+    if content is None and path.suffix.lower() == ".png":
+        content = read_bytes(path)
+    if content is not None and content.startswith(PNG) and png_has_colour(content):
+        raise InvalidInput("a mosaic has one channel, this image has 3 or more: it is in colour already")
     image = load(path, content=content)
     if image.channels != 1:
         raise InvalidInput(f"a mosaic has one channel, this image has {image.channels}: it is in colour already")

@@ -11,13 +11,15 @@ from camcal.options import GENERAL, Declared, Option, OptionsRecord, ValueType
 LOCAL = "dask://local"
 
 _SHORTEST_S = 1e-3  # a limit below says nothing of the item
-_SCHEDULER = re.compile(rf"{LOCAL}|dask(?:\+tls)?://[^\s/]+:\d+")
+_SCHEDULER = re.compile(rf"{LOCAL}|dask(?:\+tls)?://(?:[^\s/@:\[\]]+|\[[0-9A-Fa-f:]+\]):([0-9]{{1,5}})")
+_LARGEST_PORT = 65535
 
 
 def _scheduler(text: str) -> str:
     """Return the URL of a scheduler without a slash at its end; raises ValueError for any other text."""
     url = text.removesuffix("/")
-    if not _SCHEDULER.fullmatch(url):
+    found = _SCHEDULER.fullmatch(url)
+    if found is None or int(found[1] or 0) > _LARGEST_PORT:
         raise ValueError(text)
     return url
 

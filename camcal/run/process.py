@@ -14,6 +14,13 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from camcal.errors import FileError
+
+try:
+    import resource
+except ImportError:  # Windows
+    resource = None  # type: ignore[assignment]
+
 BLAS_THREADS = (
     "OMP_NUM_THREADS",
     "OPENBLAS_NUM_THREADS",
@@ -26,6 +33,7 @@ _MOUNT = Path("/sys/fs/cgroup")
 _MEMBERSHIP = Path("/proc/self/cgroup")
 _PROCESSORS = Path("/proc/cpuinfo")
 _STOPPING = ("SIGTERM", "SIGHUP")
+_ADDRESS_SPACE = 640 << 20  # bytes: `calibrate` of some views maps 616 MB, most of them libraries
 _ONE_THREAD = (*BLAS_THREADS, "OPENCV_FOR_THREADS_NUM")
 
 
@@ -84,6 +92,17 @@ def _text(path: Path) -> str:
         return path.read_text(encoding="ascii")
     except (OSError, UnicodeDecodeError):
         return ""
+
+
+def require_address_space() -> None:
+    """Raise FileError if this process may not map what the libraries need: they would hang, or end in a traceback.
+
+    OpenBLAS asks for its buffers again and again where it gets none, without Python, so that no signal is heard.
+    """
+    limit = -1 if resource is None else resource.getrlimit(resource.RLIMIT_AS)[0]
+    if resource is not None and limit != resource.RLIM_INFINITY and limit < _ADDRESS_SPACE:
+        needed = f"camcal needs at least {_ADDRESS_SPACE >> 10} kB, and more for large inputs"
+        raise FileError(f"out of memory: the address space is limited to {limit >> 10} kB (ulimit -v); {needed}")
 
 
 class Stopped(BaseException):

@@ -63,8 +63,8 @@ class RemoteFiles:
         found = _URL.search(text)
         if found is None:
             return text
-        url = text[found.start() :]
-        path = self._path_of(found[1].lower(), text[found.end(1) + len("://") :])
+        protocol, rest = found[1].lower(), text[found.end(1) + len("://") :]
+        url, path = f"{protocol}://{rest}", self._path_of(protocol, rest)
         with _reached(url):
             self._list(url, path)
         return f"{text[: found.start()]}{path}"
@@ -113,7 +113,7 @@ class RemoteFiles:
     def standing(self, text: str) -> str:
         """Return a text with paths in place of the URLs in it, without listing these."""
         root = self.root.as_posix()
-        return _URL.sub(lambda found: f"{root}/{found[1]}/{f'{_SLASH}/' if found[2] else ''}", text)
+        return _URL.sub(lambda found: f"{root}/{found[1].lower()}/{f'{_SLASH}/' if found[2] else ''}", text)
 
     def local(self, path: Path) -> Path:
         """Return the copy of the file of a URL, made now if there is none; any other path as it is."""

@@ -1,5 +1,6 @@
 """The detections CSV: bit for bit there and back, whoever wrote it, and one clear line for what is wrong."""
 
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -287,3 +288,40 @@ def test_any_text_is_read_or_refused_with_file_and_reason(tmp_path_factory, cont
         assert str(error).startswith(str(path))  # noqa: PT017 either outcome is right, a traceback is not
     else:
         assert all(np.isfinite(view.pixels).all() for view in found.views)
+
+
+def test_a_row_takes_at_most_two_hundred_bytes_of_memory(tmp_path):
+    views, points = 2500, 24
+    rng = np.random.default_rng(1)
+    path = tmp_path / "many.csv"
+    with path.open("w") as stream:
+        stream.write("image,width,height,id,u,v\n")
+        for view in range(views):
+            pixels = rng.uniform(0, 700, (points, 2)).tolist()
+            stream.writelines(f"frames/{view}.png,1280,720,{i},{u!r},{v!r}\n" for i, (u, v) in enumerate(pixels))
+    tracemalloc.start()
+    read = detections.read(path)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert len(read.views) == views
+    assert peak < 200 * views * points
+
+
+@pytest.mark.parametrize("line", ["{},640,480,0,1,1", "# none {},640,480,nothing found", "# none a.png,640,480,{}"])
+def test_a_text_that_a_camera_file_cannot_hold_is_refused_as_it_is_read(line):
+    head = "image,width,height,id,u,v\n"
+    detections.parse_csv(head + line.format("a" * 4000) + "\n", "long.csv")
+    with pytest.raises(InvalidInput, match=r"long.csv:2: a{40}… has 4001 bytes; .* at most 4000"):
+        detections.parse_csv(head + line.format("a" * 4001) + "\n", "long.csv")
+
+
+def test_a_view_may_be_spread_over_a_long_file():
+    rows = [f"{number % 1500}.png,640,480,{number // 1500},1,1" for number in range(4500)]
+    text = "\n".join(["image,width,height,id,u,v", *rows])
+    views = detections.parse_csv(text, "long.csv").views
+    assert len(views) == 1500
+    assert all(view.ids.tolist() == [0, 1, 2] for view in views)
+    with pytest.raises(InvalidInput, match=r"long.csv:4502: image '0.png': id 1 occurs twice"):
+        detections.parse_csv(f"{text}\n0.png,640,480,1,1,1", "long.csv")
+    with pytest.raises(InvalidInput, match=r"long.csv:4502: image '0.png': size 641 x 480 here, 640 x 480 at line 2"):
+        detections.parse_csv(f"{text}\n0.png,641,480,3,1,1", "long.csv")

@@ -6,7 +6,7 @@ import pytest
 
 import camcal
 from camcal.errors import InvalidInput
-from camcal.formats import provenance
+from camcal.formats import documents, emit, provenance
 from camcal.targets.board import parse_board
 
 
@@ -57,3 +57,37 @@ def test_a_block_names_tool_libraries_board_and_images_and_passes_its_check():
 def test_types_are_checked_but_further_keys_are_welcome():
     block = {"tool": 5, "operator": "night shift", "images": [{"file": "a.png", "used": "yes", "iso": 100}]}
     assert [fault.path for fault in provenance.check(block, "p")] == ["p.tool", "p.images[0].used"]
+
+
+def rig_image(number):
+    """What a rig says of an image: nothing lists more of one."""
+    pose = {"t": [0.1, 0.2, 0.3], "rotation_vector": [0.1, 0.2, 0.3]}
+    return {
+        "file": f"{number}.png",
+        "sha256": "00ff",
+        "used": number % 2 == 0,
+        "points": 24,
+        "rms_px": 0.1,
+        "reason": "few corners",
+        "camera": "left",
+        "camera_T_board": pose,
+    }
+
+
+def test_as_many_images_are_listed_as_a_file_can_hold_and_of_more_there_are_totals():
+    images = [rig_image(number) for number in range(5001)]
+    block = provenance.build(["rig"], None, images[:5000])
+    documents.parse(emit.document({"provenance": block}), "rig.yaml")
+    assert len(block["images"]) == 5000
+    assert provenance.image_counts(block) == (2500, 5000)
+    short = provenance.build(["rig"], None, images)
+    assert "images" not in short
+    assert provenance.image_counts(short) == (2501, 5001)
+    assert not list(provenance.check(short, "provenance"))
+
+
+def test_totals_tell_other_images_apart():
+    images = [rig_image(number) for number in range(5001)]
+    other = [*images[:-1], images[-1] | {"sha256": "00fe"}]
+    one, same, two = (provenance.build([], None, each)["image_totals"]["sha256"] for each in (images, images, other))
+    assert one == same != two

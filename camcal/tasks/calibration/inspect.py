@@ -12,6 +12,7 @@ from camcal.cameras.validity import field_of_view
 from camcal.errors import InvalidInput
 from camcal.formats import cameras, documents, emit, native
 from camcal.formats.camera_file import CameraEntry, CameraFile, Transform
+from camcal.formats.provenance import image_counts
 from camcal.parsing import did_you_mean
 from camcal.report.uncertain import held_by_prior_words, length_unit, projection_words, value_and_std
 from camcal.run.outputs import writes
@@ -154,8 +155,9 @@ def file_lines(file: CameraFile, *, verbose: bool = True) -> Iterator[str]:
         yield f"made by {provenance['tool']} {provenance.get('tool_version', '')}".rstrip()
     if "command" in provenance:
         yield f"with {provenance['command']}"
-    if images := _images(file):
-        yield f"from {sum(image.get('used', True) for image in images)} of {len(images)} images"
+    used, count = image_counts(provenance)
+    if count:
+        yield f"from {used} of {count} images"
 
 
 def transform_lines(file: CameraFile) -> Iterator[str]:
