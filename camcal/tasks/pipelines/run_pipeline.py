@@ -21,7 +21,7 @@ from camcal.tasks.pipelines.options import PipelineOptions
 from camcal.tasks.pipelines.order import Order, missing_inputs, ordered
 from camcal.tasks.pipelines.reading import Commands, read_pipeline
 from camcal.tasks.pipelines.state import State, files_of
-from camcal.tasks.pipelines.step import Step, StepError, StepJob, StepResult
+from camcal.tasks.pipelines.step import Step, StepError, StepJob, StepResult, place_of
 
 DONE, UP_TO_DATE, FAILED, NOT_RUN = "done", "up to date", "failed", "not run"
 WOULD_RUN, STARTED = "would run", "started"
@@ -224,13 +224,13 @@ class _PipelineRun:
 
     def _made_by(self, path: Path) -> set[str]:
         """Return the steps of which a file is an output, or lies in one; of the run's own files that is no step."""
-        place = path.absolute()
+        place = place_of(path)
         return {self._makers[each] for each in (place, *place.parents) if each in self._makers}
 
     @cached_property
     def _makers(self) -> dict[Path, str]:
-        made = {path.absolute(): name for name, step in self.order.steps.items() for path in step.outputs}
-        return made | dict.fromkeys((self.file, self.state.path), "")
+        made = {place_of(path): name for name, step in self.order.steps.items() for path in step.outputs}
+        return made | dict.fromkeys(map(place_of, (self.file, self.state.path)), "")
 
     def results(self, due: Mapping[str, str]) -> Iterator[tuple[str, StepResult]]:
         """Yield what comes of steps that do not need one another; due: their names, and why they run.
