@@ -2,7 +2,6 @@
 
 import copy
 import json
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -10,9 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from typer.main import get_command
 
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
+from camcal.cli.main import app
 from camcal.formats import disparity
 from camcal.images.save import save
 
@@ -20,8 +21,8 @@ SIZES = (1e-300, 1e-200, 1e-30, 1e30, 1e200, 1e300)
 VALUES = (0.0, *SIZES, *(-size for size in SIZES))
 FEW = (0.0, 1e-300, 1e300, -1e300)
 ENDINGS = {0, 2, 3, 4, 5, 7}
-MOST_S = 5.0
 
+COMMAND = get_command(app)
 IDENTITY = np.eye(3).tolist()
 VARIANCES = np.diag([1e-6] * 6).tolist()
 NAMES = ["fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3"]
@@ -93,10 +94,6 @@ def rig() -> dict[str, Any]:
     return dict(json.loads(json.dumps(data)))  # no list twice, which YAML would write as an alias
 
 
-def poses() -> dict[str, Any]:
-    return {}
-
-
 def numbers_in(data: Any, place: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
     """Yield where numbers stand in data, of several that are alike in a list only the first."""
     if isinstance(data, dict):
@@ -122,18 +119,25 @@ CAMERA_COMMANDS = (
     "inspect {file}",
     "optics {file}#left",
     "convert {file}#left {out}.xml",
-    "convert {file}#left {out}.yaml --to ros",
     "convert {file} {out}.yaml --to kalibr --max-error 1",
-    "convert {file} {out}.yaml --to camcal",
     "undistort {file}#left image.png -o {out}_straight -j 1",
     "undistort {file}#left --points points.csv -o {out}.csv",
     "pnp {file}#left --points seen.csv -o {out}_poses.yaml",
     "stereo rectify {file} left.png right.png -o {out}_rectified -j 1",
-    "stereo disparity left.png right.png {file} -o {out}.tiff --range 0:16 --quality fast -j 1",
     "transform check {file}",
-    "transform convert {file} --axes left=opencv:opengl",
     "simulate chessboard:5x4:20mm {file}#left -o {out}_made --views 1 -j 1",
 )
+BOARDS: tuple[dict[str, Any], ...] = (
+    {"type": "chessboard", "inner_corners": [9, 6], "square_mm": 25.0},
+    {"type": "charuco", "squares": [9, 7], "square_mm": 30.0, "marker_mm": 22.0, "dictionary": "DICT_5X5_100"},
+    {"type": "charuco", "squares": [9, 7], "square_m": 0.03, "marker_ratio": 0.7, "dictionary": "DICT_5X5_100"},
+    {"type": "aprilgrid", "tags": [6, 6], "tag_mm": 30.0, "spacing_ratio": 0.3, "family": "tag36h11"},
+    {"type": "circles", "circles": [10, 8], "pitch_mm": 20.0, "diameter_mm": 8.0},
+)
+BOARD_COMMANDS = ("detect image.png -b {file} -o {out}.csv -j 1", "board {file} -o {out}.svg")
+POSE_COMMANDS = ("transform check {file}", "smooth {file} -o {out}.csv --fps 10")
+TRAJECTORY_COMMANDS = ("smooth {file} -o {out}.csv --method rts", "transform check {file}")
+TRAJECTORY = [[float(number), 0.1 * number, 0.2, 0.3, 0.0, 0.0, 0.0, 1.0] for number in range(12)]
 
 
 @pytest.fixture
@@ -146,7 +150,89 @@ def lab(tmp_path, monkeypatch):
     (tmp_path / "points.csv").write_text("u,v\n10,20\n")
     object_points = [(0, 0, 0), (0.1, 0, 0), (0, 0.1, 0), (0.1, 0.1, 0), (0.05, 0.02, 0.03), (0.02, 0.07, 0.05)]
     own = Camera(model_named("opencv5"), (160, 120), np.array([150.0, 150, 79.5, 59.5, -0.1, 0.01, 1e-4, 1e-4, 0.001]))
-    pixels = own.project(np.array(object_points) + [0, 0, 0.5]).pixels
+    pixels = own.project(np.array(object_points) + np.array([0, 0, 0.5])).pixels
     rows = [f"{x},{y},{z},{u},{v}" for (x, y, z), (u, v) in zip(object_points, pixels, strict=True)]
     (tmp_path / "seen.csv").write_text("\n".join(["X,Y,Z,u,v", *rows, ""]))
     return tmp_path
+
+
+def written(path: str, data: Any) -> str:
+    Path(path).write_text(yaml.dump(data, Dumper=getattr(yaml, "CSafeDumper", yaml.SafeDumper), sort_keys=False))
+    return path
+
+
+@pytest.fixture
+def run(capsys):
+    """A function that runs a command line and gives its exit code, stdout and stderr."""
+
+    def call(*arguments):
+        with pytest.raises(SystemExit) as leaving:
+            COMMAND([*arguments])
+        printed = capsys.readouterr()
+        return int(leaving.value.code or 0), printed.out, printed.err
+
+    return call
+
+
+def end_of(run: Any, command: str, file: str) -> tuple[int, str]:
+    """Run a command; return its exit code and what it said, after holding it against what every command promises."""
+    code, out, err = run(*command.format(file=file, out="made").split())
+    assert code in ENDINGS, (command, code, err)
+    assert "Traceback" not in err, (command, err)
+    assert "Warning:" not in err, (command, err)
+    return code, out + err
+
+
+def sweep(run: Any, name: str, data: Any, values: Any, commands: Any, *, places: Any = None) -> None:
+    """Put values into every number of a file: it is refused with its line, or all commands that read it work."""
+    for place in places or list(numbers_in(data)):
+        for value in values:
+            code, said = end_of(run, commands[0], written(name, changed(data, place, value)))
+            if code == 2:
+                assert f"{name}:" in said, (place, value, said)
+            else:
+                for command in commands[1:]:
+                    end_of(run, command, name)
+
+
+SOME = [
+    ("cameras", "left", "image_size", 0),
+    ("cameras", "left", "intrinsics", "cx"),
+    ("cameras", "left", "distortion", "k1"),
+    ("cameras", "left", "uncertainty", "std", "fx"),
+    ("cameras", "left", "sensor", "pixel_pitch_um"),
+    ("transforms", "right_T_left", "t", 0),
+]
+
+
+@pytest.mark.parametrize("place", SOME, ids=lambda place: place[-2])
+def test_an_absurd_number_of_a_camera_file_is_refused_or_does_no_harm(run, lab, place):
+    sweep(run, "rig.yaml", rig(), (1e-300, 1e300), CAMERA_COMMANDS[:1], places=[place])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("block", [*rig()["cameras"]["left"], "transforms", "joint_covariance", "board_shape"])
+def test_no_number_of_a_camera_file_is_too_absurd(run, lab, block):
+    places = [place for place in numbers_in(rig()) if block in (place[0], place[2:3][0] if len(place) > 2 else "")]
+    sweep(run, "rig.yaml", rig(), VALUES, CAMERA_COMMANDS, places=[place for place in places if place[1] != "right"])
+
+
+@pytest.mark.parametrize("board", BOARDS, ids=lambda board: board["type"])
+def test_no_number_of_a_board_file_is_too_absurd(run, lab, board):
+    sweep(run, "board.yaml", board, FEW, BOARD_COMMANDS)
+
+
+def test_no_number_of_a_pose_file_is_too_absurd(run, lab):
+    assert end_of(run, "pnp {file}#left --points seen.csv -o poses.yaml", written("rig.yaml", rig()))[0] == 0
+    good = yaml.safe_load(Path("poses.yaml").read_text())
+    sweep(run, "changed.yaml", good, FEW, POSE_COMMANDS)
+
+
+@pytest.mark.parametrize("column", range(8))
+def test_no_number_of_a_trajectory_is_too_absurd(run, lab, column):
+    for value in VALUES:
+        rows = copy.deepcopy(TRAJECTORY)
+        rows[5][column] = value
+        Path("path.tum").write_text("".join(" ".join(f"{number:.12g}" for number in row) + "\n" for row in rows))
+        code, said = end_of(run, TRAJECTORY_COMMANDS[0], "path.tum")
+        assert code != 2 or "path.tum:6" in said, (value, said)

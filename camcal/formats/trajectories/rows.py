@@ -42,7 +42,7 @@ def trajectory(
     lines: where each pose stands in the file. Raises InvalidInput for stamps that do not increase and for quaternions
     that have not length 1; those that nearly have are normalised.
     """
-    require_plausible(path, lines, np.column_stack([stamps, positions]))
+    require_plausible(path, lines, np.column_stack([stamps, positions, quaternions]))
     require_increasing(path, lines, stamps)
     lengths = np.linalg.norm(quaternions, axis=1)
     bad = np.abs(lengths - 1) > _ROUNDED
