@@ -174,7 +174,7 @@ def _refuse_pinhole(widest: float) -> None:
 _AROUND = np.array([(x, y) for x in (-1, 0, 1) for y in (-1, 0, 1) if (x, y) != (0, 0)], dtype=float)
 _PULL = 0.01  # of its distance from the axis that a box must gain in half its height to be moved there
 _FINE, _COARSE = 1e-7, 1e-3  # of the box: where the search for its place ends, and for its aspect
-_THIN = 0.01  # of the outline's extent: nearer to it than that, the axis does not tell how large a box will be
+_THIN = 0.1  # of the extent of the outline, more than from one sample to the next: where the search starts at least
 _ASPECTS = np.geomspace(1 / 3, 3, 21)  # times that of the outline
 _EVERY = 8  # samples of the outline from one to the next that tell aspects from each other
 
@@ -216,7 +216,7 @@ def _box(outline: Array, aspect: float, fine: float = _FINE) -> tuple[Array, flo
     points = outline / stretch
     low, high = points.min(axis=0), points.max(axis=0)
     middle, worth = np.zeros(2), float(np.abs(points).max(axis=1).min())
-    start = max(worth, _THIN * float((high - low).max()))  # the axis may lie on the outline, or next to it
+    start = max(worth, _THIN * float((high - low).max()))  # the axis may lie on the outline
     step, smallest = start / 2, fine * start
     while step > smallest:
         candidates = middle + step * _AROUND
