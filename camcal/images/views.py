@@ -130,6 +130,8 @@ def _is_full(trace: Trace) -> bool:
 
 def _filled(box: Array, size: tuple[int, int]) -> Camera:
     """Return the pinhole whose outermost pixel centres are the edges of a box (left, top, right, bottom) at Z = 1."""
+    if not (box[2:] - box[:2] > _NARROWEST).all():
+        raise _no_crop(size)
     focal = (np.array(size) - 1) / (box[2:] - box[:2])
     return Camera(model_named(PINHOLE), size, np.concatenate([focal, -box[:2] * focal]))
 
@@ -171,6 +173,7 @@ def _refuse_pinhole(widest: float) -> None:
     )
 
 
+_NARROWEST = 1e-12  # of a box at Z = 1: a lens of the longest focal length in pixels shows a hundred times as much
 _AROUND = np.array([(x, y) for x in (-1, 0, 1) for y in (-1, 0, 1) if (x, y) != (0, 0)], dtype=float)
 _PULL = 0.01  # of its distance from the axis that a box must gain in half its height to be moved there
 _FINE, _COARSE = 1e-7, 1e-3  # of the box: where the search for its place ends, and for its aspect

@@ -195,6 +195,13 @@ def sweep(run: Any, name: str, data: Any, values: Any, commands: Any, *, places:
                     end_of(run, command, name)
 
 
+@pytest.mark.parametrize("name", ["p1", "p2"])
+def test_a_crop_without_extent_is_refused(run, lab, name):
+    written("rig.yaml", changed(rig(), ("cameras", "left", "distortion", name), 1e12))
+    code, said = end_of(run, CAMERA_COMMANDS[4], "rig.yaml")
+    assert (code, "no crop of 160x120 without an empty pixel was found" in said) == (2, True), said
+
+
 SOME = [
     ("cameras", "left", "image_size", 0),
     ("cameras", "left", "intrinsics", "cx"),
