@@ -196,6 +196,26 @@ def test_a_charuco_board_printed_white_on_black_is_read_and_said_to_be():
     assert_seen(inverted, straight.pixels, straight.ids, atol=0.1)
 
 
+@pytest.mark.parametrize("board", [ODD, EVEN], ids=["odd", "even"])
+def test_a_chessboard_printed_white_on_black_is_read_and_said_to_be(board):
+    image = view(board)
+    straight, inverted = detect(image, board), detect(255 - image, board)
+    assert (straight.inverted, inverted.inverted) == (False, True)
+    pixels = straight.pixels[::-1] if board is ODD else straight.pixels  # its dark end is the other one
+    assert_seen(inverted, pixels, atol=0.1)
+
+
+@pytest.mark.parametrize(("hidden", "inverted"), [(1, True), (2, False)])
+def test_a_chessboard_is_printed_white_on_black_where_three_sides_end_with_black(hidden, inverted):
+    image = 255 - view(ODD)
+    for y in [(-1.7, -1.0), (ODD.rows, ODD.rows + 0.7)][:hidden]:
+        strip = np.array([(-1.7, y[0]), (ODD.columns + 0.7, y[0]), (ODD.columns + 0.7, y[1]), (-1.7, y[1])])
+        corners = np.column_stack([strip / (ODD.columns - 1, ODD.rows - 1), np.ones(4)]) @ TILTED.T
+        cv2.fillConvexPoly(image, np.rint(corners[:, :2] / corners[:, 2:]).astype(int), 130)
+    detection = detect(image, ODD)
+    assert (detection.found, detection.inverted) == (True, inverted)
+
+
 def test_a_mirrored_charuco_image_says_so():
     assert detect(np.ascontiguousarray(view(CHARUCO)[:, ::-1]), CHARUCO).reason.startswith("the image is mirrored")
 

@@ -85,9 +85,11 @@ def symmetry_warnings(board: Board) -> tuple[Message, ...]:
 
 
 def pattern_lines(board: Board, stated: Board, views: Sequence[BoardDetection]) -> tuple[str, ...]:
-    """Return lines on the pattern of a ChArUco board where it was found out, and where it is printed inverted."""
+    """Return lines on the pattern of a ChArUco board where it was found out, and where a board is printed inverted."""
     count = sum(view.inverted for view in views)
-    inverted = (f"board printed inverted, white on black, in {counted(count, 'image')}",) if count else ()
+    # a chessboard that is cut at its squares and lies on black looks the same
+    how = "with a dark margin, as if printed inverted" if board.type == CHESSBOARD else "printed inverted"
+    inverted = (f"board {how}, white on black, in {counted(count, 'image')}",) if count else ()
     return inverted + _pattern_lines(board, stated)
 
 
