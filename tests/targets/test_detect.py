@@ -14,7 +14,7 @@ from drawn import picture, pose, truth, upright
 
 from camcal.errors import InvalidInput
 from camcal.targets.board import Board, parse_board
-from camcal.targets.checker.charuco import arrangements
+from camcal.targets.checker.charuco import arrangement_votes, arrangements
 from camcal.targets.detect import detect
 
 ODD = Board("chessboard", 6, 5)  # colours tell the ends apart
@@ -187,6 +187,15 @@ def test_the_arrangements_of_a_board_begin_with_itself_and_hold_no_pair_alike():
     assert [board.legacy for board in arrangements(odd)] == [False, False]
     assert arrangements(LEGACY) == (LEGACY, LEGACY.transposed())
     assert len(arrangements(parse_board("charuco:5x5:40mm:30mm:DICT_4X4_50"))) == 1
+
+
+@pytest.mark.parametrize("drawn", [CHARUCO, LEGACY], ids=["current", "legacy"])
+def test_markers_speak_for_the_arrangement_of_a_board_as_drawn_and_as_printed_inverted(drawn):
+    candidates = arrangements(replace(CHARUCO, legacy=None))
+    for image in (view(drawn), 255 - view(drawn)):
+        votes = arrangement_votes(image, candidates)
+        assert candidates[int(votes.argmax())] == drawn
+        assert votes.max() == 12  # all markers of a board of 6 x 4 squares
 
 
 def test_a_charuco_board_printed_white_on_black_is_read_and_said_to_be():

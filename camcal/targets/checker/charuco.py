@@ -253,9 +253,7 @@ def arrangement_votes(gray: Array, boards: Sequence[Board]) -> IntArray:
 
 
 def _find(gray: Array, board: Board) -> tuple[BoardDetection, list[Checker]]:
-    """Return the corners of a board of dark markers on white, or the reason why there are none, and the patterns
-    without such markers.
-    """
+    """Return the corners of a board of dark markers on white, or why there are none, and patterns without markers."""
     legacies = _legacies(board)
     best, most = BoardDetection.nothing(f"no marker of {board.dictionary} found"), 0
     bare: list[Checker] = []
