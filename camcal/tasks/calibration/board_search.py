@@ -79,38 +79,40 @@ def spread(items: Sequence[Item], count: int) -> Sequence[Item]:
     return items if len(items) <= count else [items[index * len(items) // count] for index in range(count)]
 
 
-def arranged(asked: Board, material: Material) -> Board:
-    """Return the arrangement of a ChArUco board that most markers speak for on a few images, or on some more."""
-    candidates = arrangements(asked)
-    if len(candidates) == 1:
-        return candidates[0]
-    work = partial(_votes_in, reading=replace(material.reading, colours=False), boards=candidates)
-    votes = np.zeros(len(candidates), np.intp)
-    for count in (SAMPLE, TRIED[CHARUCO]):
-        outcomes = material.search(work, list(material.sample(count).sources()), _TRYING)
-        votes += sum(outcome.value for outcome in outcomes if outcome.value is not None)
-        if votes.any():
-            break
-    return candidates[int(votes.argmax())]
+def first_views(asked: Board, material: Material, *, parts: bool) -> tuple[Board, list[BoardDetection]]:
+    """Return a board in the arrangement that most markers of a few images speak for, and what these show in its place.
 
-
-def _votes_in(task: tuple[str, Path | Frame], reading: ImageReadOptions, boards: Sequence[Board]) -> IntArray:
-    with opencv.repeatable(SEED):
-        return arrangement_votes(gray_of(task[1], reading), boards)
-
-
-def tried(board: Board, material: Material, *, parts: bool) -> list[BoardDetection]:
-    """Return what some images show in place of a board, none if one shows it or these are all there are."""
-    few = material.sample(TRIED[board.type])
-    views: list[BoardDetection] = []
-    if len(few.names) == len(material.names):
-        return views
-    work = partial(_view_in, reading=replace(material.reading, colours=False), board=board, parts=parts)
+    Nothing where one of them shows it, or where these are all images there are.
+    """
+    boards = arrangements(asked) if asked.type == CHARUCO else (asked,)
+    few = material.sample(TRIED[asked.type])
+    whole = len(few.names) == len(material.names)
+    if whole and len(boards) == 1:
+        return boards[0], []
+    reading = replace(material.reading, colours=False)
+    work = partial(_tried_in, reading=reading, boards=boards, parts=parts, votes_only=whole)
+    votes, without, shown = np.zeros(len(boards), np.intp), list[BoardDetection](), 0
     for outcome in material.search(work, few.sources(), _TRYING):
-        if outcome.value is not None and outcome.value.found:
-            return []
-        views += [outcome.value] if outcome.value is not None else []
-    return views
+        own, view = outcome.value or (np.zeros_like(votes), None)
+        votes, shown = votes + own, shown + bool(own.any())
+        without += [view] if view is not None else []
+        if shown == (SAMPLE if len(boards) > 1 else 1):
+            break
+    return boards[int(votes.argmax())], [] if shown else without
+
+
+def _tried_in(
+    task: tuple[str, Path | Frame], reading: ImageReadOptions, boards: Sequence[Board], parts: bool, votes_only: bool
+) -> tuple[IntArray, BoardDetection | None]:
+    """Return what speaks for each of the boards in an image, and what it shows where that is nothing."""
+    votes = np.zeros(1, np.intp)
+    if len(boards) > 1:
+        with opencv.repeatable(SEED):
+            votes = arrangement_votes(gray_of(task[1], reading), boards)
+        if votes_only or votes.any():
+            return votes, None
+    view = _view_in(task, reading, boards[0], parts)
+    return votes + len(view.ids), None if view.found else view
 
 
 def _view_in(task: tuple[str, Path | Frame], reading: ImageReadOptions, board: Board, parts: bool) -> BoardDetection:

@@ -25,11 +25,10 @@ from camcal.targets.detect import require_findable
 from camcal.targets.detection import BoardDetection, Detections
 from camcal.tasks.calibration.board_search import (
     Material,
-    arranged,
     detect_file,
+    first_views,
     require_colours,
     search,
-    tried,
 )
 from camcal.tasks.calibration.image_circle_of_views import circle_lines, with_circle
 from camcal.tasks.calibration.mixed_sizes import same_size, usual_size
@@ -164,8 +163,7 @@ def search_board(
     Raises FileError if nothing can be read.
     """
     material = Material(images, videos, options.reading, options.jobs, options.batch, progress)
-    board = arranged(asked, material) if asked.type == CHARUCO else asked
-    without = tried(board, material, parts=options.parts)
+    board, without = first_views(asked, material, parts=options.parts)
     if without:
         few, total = material.of({view.image for view in without}), len(material.names)
         return FoundBoards(board, tuple(without), (), (), _nothing(asked, board, without, few, options, total))
