@@ -26,7 +26,7 @@ from camcal.targets.detection import BoardDetection
 from camcal.tasks.calibration.video_frames import Frame, Video, detect_frame
 
 SAMPLE = 6  # images on which it is found out which board they show
-# Images, evenly spread, one of which must show the board before more are searched: as many as take 10 s at most of 1280 x 800
+# Images, evenly spread, one of which must show the board before more are searched: what takes 10 s at 1280 x 800
 TRIED = {CHESSBOARD: 40, CHARUCO: 16, APRILGRID: 10, CIRCLES: 16, ASYMMETRIC_CIRCLES: 16}
 _TRYING = "trying patterns"
 TIMEOUT_S = 600.0  # for one image; the slowest take some seconds
