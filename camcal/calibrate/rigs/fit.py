@@ -153,14 +153,12 @@ def with_other_models(fit: RigFit, models: Sequence[CameraModel | None], sizes: 
         other = estimate_rig(problem, state, plain.additional, plain.known, plain.board, motion=plain.motion)
     except (SingularError, InsufficientData, np.linalg.LinAlgError):
         return fit
-    if not other.converged:
-        return fit
     turns = other.state.camera_rotations @ plain.state.camera_rotations.transpose(0, 2, 1)
     moves = np.hstack([other.state.camera_translations - plain.state.camera_translations, so3.log(turns)])
     change = np.zeros(len(fit.covariance))
     for camera, move in enumerate(moves[1:], start=1):
         change[plain.problem.pose_columns(camera)] = move
-    return replace(fit, covariance=fit.covariance + 0.5 * np.outer(change, change))
+    return replace(fit, covariance=fit.covariance + 0.5 * np.outer(change, change)) if other.converged else fit
 
 
 def _with_effects(start: RigEstimate, effects: tuple[str, ...]) -> RigEstimate | None:
