@@ -1,7 +1,7 @@
 # The public names of camcal and where they are: the one list, for type checkers and for `import camcal`.
 
 from camcal.calibrate.intrinsics import Calibration as Calibration
-from camcal.calibrate.rigs.captures import Captures as Captures
+from camcal.calibrate.rigs.record import Captures as Captures
 from camcal.calibrate.rigs.record import RigCalibration as RigCalibration
 from camcal.cameras.catalogue import MODELS as MODELS
 from camcal.cameras.catalogue import model_named as model_named

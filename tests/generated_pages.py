@@ -1,5 +1,5 @@
-"""Every text that is generated from the code: `python tests/generated_pages.py` writes those that are not as they should
-be, and says which.
+"""Every text that is generated from the code: `python tests/generated_pages.py` writes those that are stale,
+and says which.
 
 With --record NAME -- COMMAND it runs a benchmark first and keeps its output as the result of that name.
 """

@@ -14,7 +14,7 @@ import numpy as np
 
 from camcal.arrays import Array, FloatArray, PixelArray, require_shape
 from camcal.brief import Brief
-from camcal.calibrate.rigs.captures import Captures
+from camcal.calibrate.rigs.record import Captures
 from camcal.cameras.model import Camera
 from camcal.errors import InvalidInput
 from camcal.formats import cameras, native

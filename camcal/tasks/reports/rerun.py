@@ -7,7 +7,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from camcal import files
-from camcal.calibrate.rigs.captures import Captures
+from camcal.calibrate.rigs.record import Captures
 from camcal.errors import CamcalError, GateFailed, InsufficientData, InvalidInput, Located, NotConverged
 from camcal.formats import boards, page_data
 from camcal.formats.page_data import CALIBRATE, PageData

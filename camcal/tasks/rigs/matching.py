@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from camcal.calibrate.rigs.captures import Captures
+from camcal.calibrate.rigs.record import Captures
 from camcal.errors import InvalidInput
 from camcal.files import natural_key
 from camcal.messages import counted

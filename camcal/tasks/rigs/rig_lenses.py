@@ -13,7 +13,7 @@ from camcal.calibrate import intrinsics
 from camcal.calibrate.fit import ShapeOptions
 from camcal.calibrate.initialise import sweep_focal
 from camcal.calibrate.intrinsics import CandidateModel
-from camcal.calibrate.rigs.captures import Captures
+from camcal.calibrate.rigs.record import Captures
 from camcal.cameras.catalogue import DEFAULT_MODEL, WIDE_MODEL, model_named
 from camcal.cameras.model import Camera, CameraModel
 from camcal.cameras.observations import Observations
