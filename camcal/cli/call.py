@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from camcal.cli import show
-from camcal.cli.plain_data import plain
+from camcal.cli.show import plain
 from camcal.errors import InvalidInput
 from camcal.files import STANDARD
 from camcal.images import limits

@@ -226,16 +226,16 @@ def test_the_exit_code_is_that_of_the_worst_step(states, folder):
 
 
 def test_an_interrupted_run_keeps_the_steps_that_have_ended(folder, run, monkeypatch):
-    from camcal.cli import convert
+    from camcal.cli import inspect
 
     def interrupted(options, call):
         if options.outputs[0].name == "second.yaml":
             raise KeyboardInterrupt
         return original(options, call)
 
-    original = convert.convert
+    original = inspect.convert
     interrupted.__annotations__ = original.__annotations__
-    monkeypatch.setattr(convert, "convert", interrupted)
+    monkeypatch.setattr(inspect, "convert", interrupted)
     code, _, err = run("run", "work/pipeline.yaml", "--jobs", 1)
     assert (code, err.splitlines()[-1]) == (
         130,
@@ -449,7 +449,7 @@ steps:
 
 def test_a_step_takes_options_from_a_settings_file_and_its_own_come_first(states, folder):
     (folder / "convert.yaml").write_text("to: opencv\nmax-error: 1\n")
-    text = "steps: {copy: {command: convert, arguments: [camera.yaml, copy.yml], config: convert.yaml, to: ros}}\n"
+    text = "steps: {copy: {command: convert, arguments: [camera.yaml, copy.yml], config: inspect.yaml, to: ros}}\n"
     assert states(text=text) == (0, {"copy": "done"})
     assert "camera_matrix" in (folder / "copy.yml").read_text()
     (folder / "convert.yaml").write_text("to: opencv\nmax-eror: 1\n")

@@ -29,7 +29,7 @@ from camcal.report.figures.calibration import (
 )
 from camcal.report.figures.figure import DIVERGING_MAP, WIDTH, Plot, Theme, of_part
 from camcal.report.figures.image_plane import colour_bar
-from camcal.report.frusta import board_outline, frustum_length
+from camcal.report.rig_scene import board_outline, frustum_length
 from camcal.report.uncertain import value_and_std
 from camcal.targets.board import Board
 

@@ -1,4 +1,4 @@
-"""The sections of a report on the calibration of a camera."""
+"""The sections of a report on the calibration of a camera, and the report where there is no calibration."""
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -10,15 +10,14 @@ import numpy as np
 from camcal.calibrate.intrinsics import Calibration, CandidateModel
 from camcal.cameras.model import Camera
 from camcal.cameras.validity import ImageCircle, field_of_view
-from camcal.messages import Message
+from camcal.messages import Message, counted
 from camcal.quality.assess import Assessment
 from camcal.quality.projection_uncertainty import ProjectionUncertainty
 from camcal.report.calibration import CANDIDATE_COLUMNS, candidate_rows, parameter_rows, summary
 from camcal.report.figures.calibration import calibration_plots
-from camcal.report.page.pictures import pictures
-from camcal.report.page.record import Figure, PageVerdict, Picture, Section, Table
-from camcal.report.page.thumbnails import MOST, thumbnails
-from camcal.report.page.verdict import checks_table, sentence, verdict
+from camcal.report.page.record import DataBlock, Figure, Page, PageVerdict, Picture, Section, Table, Thumbnail
+from camcal.report.page.thumbnails import MOST, corner_thumbnail, photo_key, pictures, thumbnails
+from camcal.report.page.verdict import checks_table, refusal, sentence, verdict
 from camcal.report.uncertain import (
     held_by_prior_words,
     length_unit,
@@ -28,6 +27,8 @@ from camcal.report.uncertain import (
     value_and_std,
     value_with_std,
 )
+from camcal.targets.board import Board
+from camcal.targets.detection import BoardDetection
 from camcal.targets.surface import RATIOS, Surface
 
 _NOT_IN_IDS = re.compile(r"[^A-Za-z0-9]+")
@@ -235,3 +236,51 @@ def _strongest(own: CalibratedCamera, names: Sequence[str]) -> Table:
 
 def _unit(name: str) -> str:
     return "px" if name in ("fx", "fy", "cx", "cy") else ""
+
+
+def refused_page(
+    title: str,
+    board: Board,
+    views: Sequence[BoardDetection],
+    failure: Message,
+    made: str,
+    closing: Sequence[Section],
+    blocks: Sequence[DataBlock],
+    photos: Mapping[str, str],
+) -> Page:
+    """Return the report; failure: why there is no calibration. closing: the last sections."""
+    verdict, shown = refusal(failure)
+    found = [view for view in views if view.found]
+    lines = ["Blue dots: detected corners. The corner ids of all views have to be those of the board that is given."]
+    return Page(
+        title,
+        f"{counted(len(views), 'image')}, board: {board.words}",
+        verdict,
+        (shown,),
+        figures=tuple(_figures(board, views)),
+        sections=(
+            Section("images", "Images", lines, thumbnails=_thumbnails(found, photos), tables=[_table(views)]),
+            *closing,
+        ),
+        made=made,
+        blocks=blocks,
+    )
+
+
+def _figures(board: Board, views: Sequence[BoardDetection]) -> list[Figure]:
+    found = [view for view in views if view.found]
+    corners = sum(len(view.ids) for view in found)
+    each = f"median {np.median([len(view.ids) for view in found]):.0f} of {board.count} in a view" if found else ""
+    return [
+        Figure("Images with the board", f"{len(found)} of {len(views)}"),
+        Figure("Corners detected", f"{corners}", each),
+    ]
+
+
+def _thumbnails(views: Sequence[BoardDetection], photos: Mapping[str, str]) -> list[Thumbnail]:
+    return [corner_thumbnail(view, photos.get(photo_key(view.camera, view.image), "")) for view in views[:MOST]]
+
+
+def _table(views: Sequence[BoardDetection]) -> Table:
+    rows = [[photo_key(view.camera, view.image), f"{len(view.ids)}", view.reason or ""] for view in views]
+    return Table.of("All images", ("image", "corners", "no corners because"), rows)

@@ -10,9 +10,8 @@ from camcal.errors import CamcalError
 from camcal.formats import provenance
 from camcal.formats.page_data import CALIBRATE
 from camcal.messages import Message, counted
-from camcal.report.page.calibration import CalibratedCamera, camera_sections, camera_verdict, key_figures
+from camcal.report.page.calibration import CalibratedCamera, camera_sections, camera_verdict, key_figures, refused_page
 from camcal.report.page.record import Page
-from camcal.report.page.refused import refused_page
 from camcal.report.page.render import rendered
 from camcal.report.page.thumbnails import views_of, worst_first
 from camcal.report.page.verdict import shown_messages
@@ -20,8 +19,7 @@ from camcal.tasks.calibration.board_views import BoardViews
 from camcal.tasks.calibration.calibrate import CalibrateReport
 from camcal.tasks.calibration.options import CalibrateOptions
 from camcal.tasks.reports.carried import blocks, candidates_data, messages_data, run_of
-from camcal.tasks.reports.closing import closing_sections, images_of, made, result_text
-from camcal.tasks.reports.photographs import photographs
+from camcal.tasks.reports.closing import closing_sections, images_of, made, photographs, result_text
 
 CAMERA_NAME = "camera.yaml"  # of the file that a rerun writes
 

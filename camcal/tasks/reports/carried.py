@@ -20,7 +20,7 @@ from camcal.run.paths import split_address
 from camcal.targets.board import Board
 from camcal.targets.detection import Detections
 from camcal.tasks.calibration.corner_refinement import RefinementSummary
-from camcal.tasks.reports.environment import environment
+from camcal.tasks.reports.closing import environment
 
 _GUESS = "guess"
 Candidates = Mapping[tuple[str, ...], Sequence[CandidateModel]]

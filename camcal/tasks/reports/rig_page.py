@@ -10,16 +10,14 @@ from camcal.errors import CamcalError
 from camcal.formats import provenance
 from camcal.formats.page_data import RIG
 from camcal.messages import Message, counted
-from camcal.report.page.calibration import CalibratedCamera
+from camcal.report.page.calibration import CalibratedCamera, refused_page
 from camcal.report.page.record import Page
-from camcal.report.page.refused import refused_page
 from camcal.report.page.render import rendered
 from camcal.report.page.rig import CalibratedRig, rig_figures, rig_sections, rig_verdict
 from camcal.report.page.thumbnails import views_of, worst_first
 from camcal.report.page.verdict import shown_messages
 from camcal.tasks.reports.carried import blocks, candidates_data, messages_data, run_of
-from camcal.tasks.reports.closing import closing_sections, images_of, made, result_text
-from camcal.tasks.reports.photographs import photographs
+from camcal.tasks.reports.closing import closing_sections, images_of, made, photographs, result_text
 from camcal.tasks.rigs.calibrate_rig import RigReport
 from camcal.tasks.rigs.inspect_rig import inspect_rig
 from camcal.tasks.rigs.options import RigSettings
