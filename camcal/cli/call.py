@@ -33,7 +33,7 @@ class Call:
 
     def once(self, options: Any, output: Path | None, work: Callable[[], None], *, resume: bool) -> None:
         """Do the work of a command with one result, unless it is to be resumed and an earlier run has done the same."""
-        from camcal.run.finished import Finished
+        from camcal.run.journal import Finished
 
         if not resume or output is None or str(output) == STANDARD:
             work()

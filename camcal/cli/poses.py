@@ -88,7 +88,7 @@ def track(options: TrackingOptions, call: ImageCall) -> None:
 
 def _show_tracks(report: "TrackReport", verbose: bool) -> None:
     from camcal.estimate.smoothing.kalman import CONSISTENT
-    from camcal.report.pose_words import consistency_details, consistency_line, lines, plain
+    from camcal.report.track_words import consistency_details, consistency_line, lines, plain
 
     for line in report.lines:
         show.text(line)

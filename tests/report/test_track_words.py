@@ -10,7 +10,7 @@ from camcal.estimate.tracking.track import TrackOptions, track_poses
 from camcal.formats.trajectories.tracked import TrackedObject
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
-from camcal.report.pose_words import consistency_line, lines, warnings
+from camcal.report.track_words import consistency_line, lines, warnings
 
 
 @pytest.fixture

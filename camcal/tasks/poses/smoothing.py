@@ -12,7 +12,7 @@ from camcal.errors import InvalidInput
 from camcal.estimate.smoothing.batch import OUTLIER_CONFIDENCE
 from camcal.estimate.smoothing.kalman import Consistency
 from camcal.estimate.trajectory_error import ErrorFigures, ErrorOptions, TrajectoryError
-from camcal.report.pose_words import consistency_details, consistency_line
+from camcal.report.track_words import consistency_details, consistency_line
 from camcal.tasks.poses.smooth_options import SmoothOptions
 
 _MOST_STAMPS = 1_000_000

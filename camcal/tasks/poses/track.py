@@ -21,7 +21,7 @@ from camcal.geometry.pose import Trajectory
 from camcal.messages import Message
 from camcal.parsing import did_you_mean
 from camcal.progress import SILENT, Progress, warn_of
-from camcal.report import pose_words
+from camcal.report import track_words
 from camcal.run.outputs import writes
 from camcal.run.paths import Media, find_media, refuse_collisions, require_there
 from camcal.targets.markers.tags import single_name
@@ -104,7 +104,9 @@ def track(options: TrackingOptions, progress: Progress = SILENT) -> TrackReport:
     if not objects:
         raise next(iter(lost.values()))
     outputs = _written(options, seen.images, objects)
-    warnings = [each.at(name) if name else each for name, item in objects.items() for each in pose_words.warnings(item)]
+    warnings = [
+        each.at(name) if name else each for name, item in objects.items() for each in track_words.warnings(item)
+    ]
     warn_of(warnings, progress)
     return TrackReport(
         seen.images,
@@ -313,7 +315,7 @@ def document(report: TrackReport) -> dict[str, Any]:
     """Return the report as plain data for --json; the poses themselves are in the file."""
     return {
         "frame_count": len(report.images),
-        "objects": [{"object": name} | pose_words.plain(item, report.images) for name, item in report.objects.items()],
+        "objects": [{"object": name} | track_words.plain(item, report.images) for name, item in report.objects.items()],
         "lost": [{"object": name, "message": error.message} for name, error in report.lost.items()],
         "failed": list(report.failed),
         "outputs": list(report.outputs),

@@ -20,8 +20,18 @@ from camcal.report.figures.board import board_height, board_shape
 from camcal.report.figures.figure import Plot
 from camcal.report.figures.image_plane import projection_uncertainty as uncertainty_plot
 from camcal.report.page.calibration import board_section, focal_figure
-from camcal.report.page.record import BAD, GOOD, UNKNOWN, Figure, Page, PageVerdict, Section, ShownMessage, Table
-from camcal.report.page.render import rendered
+from camcal.report.page.record import (
+    BAD,
+    GOOD,
+    UNKNOWN,
+    Figure,
+    Page,
+    PageVerdict,
+    Section,
+    ShownMessage,
+    Table,
+    rendered,
+)
 from camcal.report.page.thumbnails import pictures
 from camcal.report.page.verdict import sentence, shown_messages, shown_reasons
 from camcal.report.rig import DEPTH_COLUMNS, PAIR_COLUMNS, depth_rows, pair_rows

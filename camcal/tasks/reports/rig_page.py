@@ -11,8 +11,7 @@ from camcal.formats import provenance
 from camcal.formats.page_data import RIG
 from camcal.messages import Message, counted
 from camcal.report.page.calibration import CalibratedCamera, refused_page
-from camcal.report.page.record import Page
-from camcal.report.page.render import rendered
+from camcal.report.page.record import Page, rendered
 from camcal.report.page.rig import CalibratedRig, rig_figures, rig_sections, rig_verdict
 from camcal.report.page.thumbnails import views_of, worst_first
 from camcal.report.page.verdict import shown_messages
