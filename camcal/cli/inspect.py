@@ -1,8 +1,9 @@
 """`camcal inspect` and `camcal convert`: what files hold, and camera files in other formats."""
 
+import json
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from camcal.cli import show
 from camcal.cli.call import Call, ImageCall
@@ -85,17 +86,10 @@ def _inspect_camera(options: InspectOptions, call: ImageCall) -> None:
         if call.json:
             show.result("inspect", {"file": options.address[0], "key": options.get, "value": value})
         else:
-            show.value(_one_value(value))
+            show.value(value if isinstance(value, str) else json.dumps(value))  # a shell writes numbers as JSON does
         return
     warn_of(inspection.file.warnings, call.progress)
     call.give(lambda: document(inspection), lambda: _show(inspection, options, call.verbose))
-
-
-def _one_value(value: Any) -> str:
-    """Return a value for a shell: a text as it is, everything else as JSON, which is how a shell writes numbers."""
-    from json import dumps
-
-    return value if isinstance(value, str) else dumps(value)
 
 
 def _show(inspection: "Inspection", options: InspectOptions, verbose: bool) -> None:

@@ -374,11 +374,11 @@ def _lines(kind: str, message: str) -> Iterator[str]:
     On a terminal they end at words.
     """
     for line in map(printable, message.split("\n")):
-        said = f"camcal: {kind}: {_shortened(line)}"
+        said = f"camcal: {kind}: {_shorten(line)}"
         yield from wrapped(said, width()) if sys.stderr.isatty() else [said]
 
 
-def _shortened(line: str) -> str:
+def _shorten(line: str) -> str:
     """Return a line with long quotations of files shortened, ending at a word where it would be too long."""
     line = _QUOTATION.sub(lambda found: f"{found[1]}{found[2][:_QUOTED]} …{found[1]}", line)
     if len(line) <= _LONGEST:

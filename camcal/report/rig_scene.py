@@ -78,14 +78,17 @@ def rig_scene(
     colours = list(COLOURS.values())
     for index, (name, camera) in enumerate(rig.cameras.items()):
         colour = colours[index % len(colours)]
-        parts += [(rig.rig_T_camera[name].apply(line), colour) for line in _frustum(camera, circles.get(name), length)]
+        lines = frustum(camera, length, _BORDER, circles.get(name))
+        axis = np.array([(0.0, 0.0, 0.0), (0.0, 0.0, _AXIS * length)])
+        parts += [(rig.rig_T_camera[name].apply(line), colour) for line in (*lines, axis)]
     places = [pose.translation for pose in rig.rig_T_camera.values()]
     parts += [(np.array([places[0], place]), _ORIGIN) for place in places[1:]]
     if board is not None and board.unit == "m":
         outline = board_outline(board)[[0, 1, 2, 3, 0]]
         parts += [(pose.apply(outline), _BOARD) for pose in boards]
     extent = np.ptp(np.concatenate([line for line, _ in parts]), axis=0).max()
-    step = max(extent / _SAMPLES, _total(parts) / _MOST)
+    total = float(sum(np.linalg.norm(np.diff(line, axis=0), axis=1).sum() for line, _ in parts))
+    step = max(extent / _SAMPLES, total / _MOST)
     dense = [_dense(line, step) for line, _ in parts]
     points = np.concatenate(dense)
     shades = np.concatenate(
@@ -97,15 +100,6 @@ def rig_scene(
 def colour_name(index: int) -> str:
     """Return the name of the colour of a camera, by its place among them."""
     return list(COLOURS)[index % len(COLOURS)]
-
-
-def _frustum(camera: Camera, circle: ImageCircle | None, length: float) -> list[Array]:
-    """Return the lines (N, 3) of a camera's frustum and of its optical axis."""
-    return [*frustum(camera, length, _BORDER, circle), np.array([(0.0, 0.0, 0.0), (0.0, 0.0, _AXIS * length)])]
-
-
-def _total(parts: Sequence[tuple[Array, tuple[int, int, int]]]) -> float:
-    return float(sum(np.linalg.norm(np.diff(line, axis=0), axis=1).sum() for line, _ in parts))
 
 
 def _dense(line: Array, step: float) -> Array:

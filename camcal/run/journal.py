@@ -161,10 +161,10 @@ def journaled(
         )
 
     outcomes = remembering(_Journaled(kept, found), every, fan, jobs=jobs, batch=batch, progress=progress)
-    return _watched(kept, outcomes)
+    return _note_failures(kept, outcomes)
 
 
-def _watched(kept: Journal, outcomes: Iterable[Outcome[Item, Value]]) -> Iterator[Outcome[Item, Value]]:
+def _note_failures(kept: Journal, outcomes: Iterable[Outcome[Item, Value]]) -> Iterator[Outcome[Item, Value]]:
     """Yield outcomes, and let the journal know of those that have failed."""
     for outcome in outcomes:
         kept.has_failures |= outcome.error is not None
@@ -222,7 +222,7 @@ class Finished:
         with files.unwatched(), suppress(FileError):
             hashes = values_of(fan_out(fingerprint.of_file, paths))
             named = [[path.as_posix(), each] for path, each in zip(paths, hashes, strict=True)]
-            asked = _asked_for(options, output)
+            asked = _other_options(options, output)
             self.made_from = fingerprint.of_data([command, fingerprint.of_settings(options), asked, named])
 
     def document(self) -> dict[str, Any] | None:
@@ -250,7 +250,7 @@ class Finished:
         run.results[self.output.absolute()] = own._replace(made_from=self.made_from, result=result)
 
 
-def _asked_for(options: Any, output: Path) -> dict[str, list[str]]:
+def _other_options(options: Any, output: Path) -> dict[str, list[str]]:
     """Return the options that count beside the settings: the other files that are written, and checks of the result."""
     known = [each for each in declared(type(options)) if fingerprint.counts(each) and not each.option.recorded]
     values = [(each, each.of(options)) for each in known]

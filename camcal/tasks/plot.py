@@ -94,7 +94,7 @@ def plot(options: PlotOptions, progress: Progress = SILENT) -> PlotReport:
     is none of, or where one file is named for several; nothing is written then.
     """
     found = tuple(drawable(path, options.reference, progress) for path in find_files(options.inputs))
-    plots = _chosen(_named(found), options.figures)
+    plots = _choose_plots(_name_plots(found), options.figures)
     output = options.output
     if output is None:
         return PlotReport(found, ())
@@ -110,7 +110,7 @@ def plot(options: PlotOptions, progress: Progress = SILENT) -> PlotReport:
     return PlotReport(found, write_figures(FigureOptions(output, options.kind), plots, options.theme))
 
 
-def _named(found: Sequence[Drawable]) -> list[Plot]:
+def _name_plots(found: Sequence[Drawable]) -> list[Plot]:
     """Return all figures; those of several files have the names of their files before their own."""
     if len(found) == 1:
         return list(found[0].plots)
@@ -119,7 +119,7 @@ def _named(found: Sequence[Drawable]) -> list[Plot]:
     return [own for each, name in zip(found, names, strict=True) for own in of_part(each.plots, name)]
 
 
-def _chosen(plots: Sequence[Plot], wanted: Sequence[str]) -> list[Plot]:
+def _choose_plots(plots: Sequence[Plot], wanted: Sequence[str]) -> list[Plot]:
     """Return the figures that are wanted, all where none are named."""
     names = [each.name for each in plots]
     for name in wanted:
@@ -197,7 +197,8 @@ def _camera(path: Path, progress: Progress) -> Drawable:
 
 def _document(path: Path, reference: Path | None, progress: Progress) -> Drawable:
     content = load_either(path)
-    if command := command_of(content):
+    if printed := _SCHEMA.fullmatch(str(content.get("schema", ""))):
+        command = printed["command"]
         return Drawable(path, f"{command} --json", printed_plots(content, command))
     form = content.get("format")
     if form == plain_poses.FORMAT:
@@ -232,12 +233,6 @@ def _series(path: Path) -> Plot:
             for name in states
         ]
     )
-
-
-def command_of(content: Document) -> str | None:
-    """Return the command that printed a document, None for another kind of file."""
-    found = _SCHEMA.fullmatch(str(content.get("schema", "")))
-    return None if found is None else found["command"]
 
 
 def printed_plots(content: Document, command: str) -> tuple[Plot, ...]:

@@ -40,7 +40,7 @@ def _picture(plot: Plot, prefix: str) -> Picture:
     suffix = ".png" if plot.dense else ".svg"
     light = encoded(plot, suffix, LIGHT, titled=False)
     # what is drawn as lines differs in its colours only, and need not be laid out twice
-    dark = encoded(plot, suffix, DARK, titled=False) if plot.dense else _recoloured(light)
+    dark = encoded(plot, suffix, DARK, titled=False) if plot.dense else _recolour(light)
     width, height = (round(side * _PX_PER_INCH) for side in plot.size)
     return Picture(
         f"{prefix}figure-{plot.name}",
@@ -53,7 +53,7 @@ def _picture(plot: Plot, prefix: str) -> Picture:
     )
 
 
-def _recoloured(svg: bytes) -> bytes:
+def _recolour(svg: bytes) -> bytes:
     """Return an SVG of the light theme in the colours of the dark one."""
     pairs = dict(zip(reversed(_colours(LIGHT)), reversed(_colours(DARK)), strict=True))
     return _COLOUR.sub(lambda found: pairs.get(found.group(), found.group()), svg)

@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Any
 
 from camcal import files
-from camcal.calibrate.intrinsics import Calibration
 from camcal.errors import CamcalError
 from camcal.formats import provenance
 from camcal.formats.page_data import CALIBRATE
@@ -56,9 +55,13 @@ def page_text(report: CalibrateReport, run: Mapping[str, Any], photos: Mapping[s
         *camera_sections(camera, report.assessment.messages),
         *closing_sections(report.file.provenance, run["environment"], report.lines),
     )
+    calibration = report.calibration
+    width, height = calibration.camera.image_size
+    images = counted(len(calibration.views), "image")
+    subtitle = f"{calibration.camera.model.name}, {width} x {height} px, from {images} of a {calibration.board.words}"
     page = Page(
         f"Calibration of {name}",
-        _subtitle(report.calibration),
+        subtitle,
         camera_verdict(camera, report.warnings),
         shown_messages(report.failures, report.warnings),
         figures=tuple(key_figures(camera)),
@@ -67,12 +70,6 @@ def page_text(report: CalibrateReport, run: Mapping[str, Any], photos: Mapping[s
         blocks=blocks(run, report.views.detections),
     )
     return rendered(page)
-
-
-def _subtitle(calibration: Calibration) -> str:
-    width, height = calibration.camera.image_size
-    images = counted(len(calibration.views), "image")
-    return f"{calibration.camera.model.name}, {width} x {height} px, from {images} of a {calibration.board.words}"
 
 
 def write_refusal(

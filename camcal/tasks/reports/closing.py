@@ -34,14 +34,14 @@ def origin_section(provenance: Mapping[str, Any], environment: Mapping[str, str]
     if totals := provenance.get("image_totals"):
         rows.append(["images", f"{totals['used']} of {totals['listed']} used; SHA-256 of the list {totals['sha256']}"])
     tables = [Table.of("Program, machine and board", ("what", "value"), rows)]
-    images = [_image_row(image) for image in provenance.get("images", []) if isinstance(image, Mapping)]
+    images = [
+        [str(image.get("file", "")), str(image.get("sha256", "not recorded"))]
+        for image in provenance.get("images", [])
+        if isinstance(image, Mapping)
+    ]
     if images:
         tables.append(Table.of("Inputs", ("file", "SHA-256"), images))
     return Section("provenance", "Provenance", list(lines), tables=tables)
-
-
-def _image_row(image: Mapping[str, Any]) -> list[str]:
-    return [str(image.get("file", "")), str(image.get("sha256", "not recorded"))]
 
 
 def _words(value: object) -> str:

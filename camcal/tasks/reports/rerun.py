@@ -95,7 +95,7 @@ def rerun(options: RerunOptions, progress: Progress = SILENT) -> Rerun:
     claim([output] if refused else [output, options.output / name])
     with Located(options.file):
         before = None if refused else parse_camera_file(data.run["result"], f"{options.file}: result")
-        again = _calibrated(data, options, progress)
+        again = _calibrate_again(data, options, progress)
     files.write_text(output, again.page)
     same = files.read_bytes(options.file) == files.utf8(again.page)
     reason = data.run.get("refusal", "")
@@ -116,7 +116,7 @@ def require_agreement(found: Rerun) -> None:
         raise GateFailed.of([Message("rerun_differs", text, values)])
 
 
-def _calibrated(data: PageData, options: RerunOptions, progress: Progress) -> _Again:
+def _calibrate_again(data: PageData, options: RerunOptions, progress: Progress) -> _Again:
     """Return the page made again; the camera or rig file is written to the folder."""
     again = _rerun_camera if data.run["command"] == CALIBRATE else _rerun_rig
     with TemporaryDirectory() as guesses:
