@@ -128,7 +128,7 @@ def epipolar_errors(calibration: RigCalibration) -> Plot | None:
     return _bars(
         "epipolar_errors",
         "Epipolar error by capture",
-        f"RMS of the distance of corners from the epipolar lines of what the other camera saw, px, {_rows_words(rows)}: "
+        f"RMS of the distance of corners from the epipolar lines of what the other camera saw, px, {_captures(rows)}: "
         f"{total:.3g} px over all (dashed), at most {worst:.3g} px in a capture.",
         rows,
         total,
@@ -148,7 +148,7 @@ def exposure_motion(calibration: RigCalibration) -> Plot | None:
     return _bars(
         "exposure_motion",
         "Motion between exposures",
-        f"How far the board moved between the exposures of a capture, mm, {_rows_words(rows)}: median {median:.2g} mm "
+        f"How far the board moved between the exposures of a capture, mm, {_captures(rows)}: median {median:.2g} mm "
         f"(dashed), at most {1e3 * motion.largest:.2g} mm.",
         rows,
         median,
@@ -162,7 +162,7 @@ def _rank(names: Sequence[str], values: Array) -> list[tuple[str, float, bool]]:
     return sorted(known, key=lambda row: (-row[1], row[0]))
 
 
-def _rows_words(rows: Sequence[tuple[str, float, bool]]) -> str:
+def _captures(rows: Sequence[tuple[str, float, bool]]) -> str:
     """Return which rows are drawn, in words."""
     return f"the {NAMED} largest of {len(rows)} captures" if len(rows) > NAMED else counted(len(rows), "capture")
 
