@@ -44,7 +44,7 @@ COMMANDS = (
     Entry("rig", "rig:rig", "Calibrate several cameras together."),
     Entry("report", "reports:report", "Write a report as one HTML file."),
     Entry("rerun", "reports:rerun", "Calibrate again from a report and compare."),
-    Entry("undistort", "undistort:undistort", "Undistort images, videos or points."),
+    Entry("undistort", "calibrate:undistort", "Undistort images, videos or points."),
     Entry("plot", "reports:plot", "Draw figures of result files."),
     Entry("convert", "inspect:convert", "Convert camera files from and to OpenCV, ROS and Kalibr."),
     Entry("inspect", "inspect:inspect", "Show a camera file or a raw frame."),
