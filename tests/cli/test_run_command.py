@@ -449,7 +449,7 @@ steps:
 
 def test_a_step_takes_options_from_a_settings_file_and_its_own_come_first(states, folder):
     (folder / "convert.yaml").write_text("to: opencv\nmax-error: 1\n")
-    text = "steps: {copy: {command: convert, arguments: [camera.yaml, copy.yml], config: inspect.yaml, to: ros}}\n"
+    text = "steps: {copy: {command: convert, arguments: [camera.yaml, copy.yml], config: convert.yaml, to: ros}}\n"
     assert states(text=text) == (0, {"copy": "done"})
     assert "camera_matrix" in (folder / "copy.yml").read_text()
     (folder / "convert.yaml").write_text("to: opencv\nmax-eror: 1\n")
