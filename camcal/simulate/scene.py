@@ -1,15 +1,17 @@
 """Simulated cameras, plausible board poses, and detections.
 
-Poses are spread over the image, tilted, near and far.
+Poses are spread over the image, tilted, near and far. For a rig the board is held in front of one camera after another,
+where another one has it too.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.cameras.model import Camera, CameraModel
+from camcal.cameras.model import Camera, CameraModel, Rig
 from camcal.errors import InvalidInput
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
@@ -28,6 +30,8 @@ RIM = 0.3  # squares of white around the drawing that must be in the image
 WIDEST = 100.0  # half an image's width in focal lengths, 178.9° for a pinhole
 LEG = 30  # frames of a moving board from one pose to the next
 OFF_CENTRE = (0.006, -0.004)  # of the principal point, as shares of the image's width
+_CAPTURE_ROUNDS = 20  # of proposals, as many as captures are wanted from every camera
+_LEAST_CAMERAS = 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -319,3 +323,31 @@ def _distorted(model: CameraModel, parameters: Array, distortion: Mapping[str, f
             raise InvalidInput(f"{model.name} has no coefficient {name!r}; it has {known}")
         parameters[model.parameter_names.index(name)] = value
     return parameters
+
+
+def captures(rig: Rig, board: Board, count: int, *, rng: np.random.Generator, partial: bool = False) -> list[Pose]:
+    """Return `count` poses rig_T_board that two cameras see the whole board at, or with `partial` enough of it.
+
+    Raises InvalidInput if there are not enough such poses: the cameras have no view in common.
+    """
+    found: list[Pose] = []
+    for _ in range(_CAPTURE_ROUNDS):
+        proposed = [
+            [rig.rig_T_camera[name] @ pose for pose in views(camera, board, count, rng=rng, partial=partial)]
+            for name, camera in rig.cameras.items()
+        ]
+        in_turn = list(chain(*zip(*proposed, strict=True)))
+        sharing = np.sum([seen_by(rig, name, board, in_turn, partial=partial) for name in rig.cameras], axis=0)
+        found += [pose for pose, cameras in zip(in_turn, sharing, strict=True) if cameras >= _LEAST_CAMERAS]
+        if len(found) >= count:
+            return found[:count]
+    raise InvalidInput(
+        f"found {len(found)} of {count} poses of the board ({board.words}) that two cameras see: use a smaller board, "
+        "--partial, or cameras with more in common"
+    )
+
+
+def seen_by(rig: Rig, name: str, board: Board, poses: Sequence[Pose], *, partial: bool) -> Array:
+    """Return the mask (V,) of poses rig_T_board at which a camera sees the board."""
+    camera_T_rig = rig.rig_T_camera[name].inverse()
+    return seen(rig.cameras[name], board, [camera_T_rig @ pose for pose in poses], partial=partial)

@@ -14,7 +14,7 @@ from camcal.arrays import Array, readonly
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.images.remap import Maps
 from camcal.opencv import resized
-from camcal.stereo.acceptance import LIMITS
+from camcal.stereo.disparity import LIMITS
 from camcal.stereo.pair.coarse import (
     PIXELS,
     Matches,

@@ -31,9 +31,8 @@ from camcal.run.manifest import MANIFEST
 from camcal.run.outputs import claim, owned, writes
 from camcal.run.paths import split_address
 from camcal.simulate import mosaics
-from camcal.simulate.captures import captures, seen_by
 from camcal.simulate.render import FLAT, Shape, render
-from camcal.simulate.scene import Truth, make_camera, motion, observe, view_name, views
+from camcal.simulate.scene import Truth, captures, make_camera, motion, observe, seen_by, view_name, views
 from camcal.targets.board import Board
 from camcal.targets.detection import Detections
 from camcal.targets.pattern import pattern_of

@@ -14,8 +14,7 @@ from camcal.images.load import load
 from camcal.messages import Message
 from camcal.raw.planes import one_by_one
 from camcal.run.fanout import over_threads
-from camcal.stereo.acceptance import too_few
-from camcal.stereo.disparity import Confidence, Disparity
+from camcal.stereo.disparity import Confidence, Disparity, too_few
 from camcal.stereo.matching.learned import learned_disparity
 from camcal.stereo.matching.match import match_prepared, within
 from camcal.stereo.matching.preparation import Masks, Prepared, prepare

@@ -19,8 +19,8 @@ from camcal.options import command_line
 from camcal.progress import SILENT, Outcome, Progress, reused
 from camcal.run.outputs import claim, writes
 from camcal.run.paths import find_media, paired, refuse_collisions, split_address
-from camcal.stereo.rectify.maps import PairMaps, build_pair_maps
 from camcal.stereo.rectify.options import RectifiedViewOptions
+from camcal.stereo.rectify.plan import PairMaps, build_pair_maps
 from camcal.stereo.rectify.record import Rectification
 from camcal.tasks.calibration.drawing import Drawing, Drawn, Sources, require_success
 from camcal.tasks.calibration.undistort import suffix_of

@@ -29,11 +29,9 @@ from camcal.progress import SILENT, Progress
 from camcal.run.paths import split_address
 from camcal.stereo.geometry import of_rectification, why_not_rectified
 from camcal.stereo.points.calibration_error import CalibratedPair, calibration_error
-from camcal.stereo.rectify.covariance import rectified_covariance
-from camcal.stereo.rectify.maps import PairMaps, build_pair_maps
 from camcal.stereo.rectify.options import RectifiedViewOptions
-from camcal.stereo.rectify.plan import DEFAULTS, plan_rectification
-from camcal.stereo.rectify.record import Rectification
+from camcal.stereo.rectify.plan import DEFAULTS, PairMaps, build_pair_maps, plan_rectification
+from camcal.stereo.rectify.record import Rectification, rectified_covariance
 from camcal.tasks.given_camera import Size, read_camera_file, view_outside_region
 from camcal.tasks.options import CAMERA_SUFFIXES, GivenCamera
 from camcal.tasks.stereo.rectified_pair import RectifiedPair
