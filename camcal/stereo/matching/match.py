@@ -80,9 +80,9 @@ def match_prepared(prepared: Prepared, options: MatchOptions, each: Each = one_b
         values, sigma = np.where(keep, values, nothing), np.where(keep, sigma, nothing)
         confidence = confidence * keep  # Confidence.NONE is 0
     searched = prepared.first, prepared.first + prepared.count - 1
-    return Disparity(
-        values, sigma, confidence, searched, _at_ends(estimate.end[estimate.confidence > Confidence.FILLED])
-    )
+    end = estimate.end[estimate.confidence > Confidence.FILLED]
+    at_ends = (float(np.mean(end < 0)), float(np.mean(end > 0))) if end.size else (0.0, 0.0)
+    return Disparity(values, sigma, confidence, searched, at_ends)
 
 
 def within(disparity: Disparity, valid: Masks) -> Disparity:
@@ -100,11 +100,6 @@ def within(disparity: Disparity, valid: Masks) -> Disparity:
     nothing = np.float32(np.nan)
     values, sigma = (np.where(keep, each, nothing) for each in (disparity.values, disparity.sigma))
     return replace(disparity, values=values, sigma=sigma, confidence=disparity.confidence * keep)
-
-
-def _at_ends(end: Array) -> tuple[float, float]:
-    """Return the shares of -1 and of 1 among matches (N,)."""
-    return (float(np.mean(end < 0)), float(np.mean(end > 0))) if end.size else (0.0, 0.0)
 
 
 def _weights(prepared: Prepared, quality: str) -> Weights:
@@ -140,7 +135,7 @@ class Estimate(NamedTuple):
 
 def estimated(prepared: Prepared, quality: str, each: Each = one_by_one) -> Estimate:
     """Return the dense map of a pair and the evidence for its uncertainty."""
-    found = textured(_found(prepared, quality, each), prepared.pair.left)
+    found = textured(_search(prepared, quality, each), prepared.pair.left)
     filled = from_the_background(found.disparity)
     dense = everywhere(filled.disparity)
     large = needs_levels(prepared.pair, prepared.count)
@@ -150,7 +145,7 @@ def estimated(prepared: Prepared, quality: str, each: Each = one_by_one) -> Esti
     return Estimate(dense, found.confidence, filled, found.end, evidence, step)
 
 
-def _found(prepared: Prepared, quality: str, each: Each) -> Fused:
+def _search(prepared: Prepared, quality: str, each: Each) -> Fused:
     pair, first, count = prepared.pair, prepared.first, prepared.count
     if quality == FAST:
         return single_matcher(by_gray_levels_unchecked(pair, first, count))
@@ -173,7 +168,7 @@ def coarse_to_fine(pair: GrayPair, first: int, count: int, match: Matcher) -> Fu
     """
     if not needs_levels(pair, count):
         return match(pair, first, count)
-    half = coarse_to_fine(_halved(pair), first // 2, -(-count // 2) + 1, match)
+    half = coarse_to_fine(_halve_pair(pair), first // 2, -(-count // 2) + 1, match)
     return _finer(pair, half)
 
 
@@ -182,18 +177,18 @@ def needs_levels(pair: GrayPair, count: int) -> bool:
     return pair.left.size > LARGEST or pair.left.size * count > _MOST_COSTS
 
 
-def _halved(pair: GrayPair) -> GrayPair:
+def _halve_pair(pair: GrayPair) -> GrayPair:
     """Return a pair at half its size, rounded up: each pixel the mean of four."""
     return GrayPair(
-        _half(pair.left),
-        _half(pair.right),
-        _half(pair.deep_left),
-        _half(pair.deep_right),
+        _halve_image(pair.left),
+        _halve_image(pair.right),
+        _halve_image(pair.deep_left),
+        _halve_image(pair.deep_right),
         noise=pair.noise / 2,  # the mean of four is half as noisy
     )
 
 
-def _half(image: Array) -> Array:
+def _halve_image(image: Array) -> Array:
     height, width = image.shape
     even = cv2.copyMakeBorder(image, 0, height % 2, 0, width % 2, cv2.BORDER_REPLICATE)
     return np.asarray(cv2.resize(even, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA))
@@ -204,23 +199,23 @@ def _finer(pair: GrayPair, half: Fused) -> Fused:
     shape = pair.left.shape
     dense = everywhere(from_the_background(half.disparity).disparity)
     if np.isnan(dense).any():  # in all of it, for nothing is matched
-        return Fused(*(_doubled(values, shape) for values in half))
-    near = _doubled(2 * smoothed(dense, quick=True), shape)
+        return Fused(*(_double(values, shape) for values in half))
+    near = _double(2 * smoothed(dense, quick=True), shape)
     left, right = (cv2.GaussianBlur(image, (0, 0), _BLUR) for image in (pair.deep_left, pair.deep_right))
     words = census(left)
     whole = np.rint(near).astype(np.int32)
     found = whole - _NEARBY + least(aggregate(_costs_nearby(words, census(right), whole), pair.left))
     smooth = smoothed(smoothed(found.astype(np.float32), quick=True), quick=True)
-    disparity = _refined(words, right, smooth)
-    confidence = _doubled(half.confidence, shape)
+    disparity = _refine(words, right, smooth)
+    confidence = _double(half.confidence, shape)
     believed = (confidence > Confidence.FILLED) & ordering_holds(disparity)
     disparity = without_speckles(np.where(believed, disparity, np.float32(np.nan)))
     confidence = np.where(np.isfinite(disparity), confidence, Confidence.FILLED).astype(np.uint8)
     difference = np.where(np.isfinite(disparity), np.abs(disparity - near), np.float32(np.nan))
-    return Fused(disparity, confidence, difference, _doubled(half.end, shape))
+    return Fused(disparity, confidence, difference, _double(half.end, shape))
 
 
-def _doubled(values: Array, shape: tuple[int, ...]) -> Array:
+def _double(values: Array, shape: tuple[int, ...]) -> Array:
     """Return what stands in an image (h, w) in every pixel of one twice as large, of the given shape (H, W)."""
     height, width = shape
     twice = cv2.resize(values, None, fx=2, fy=2, interpolation=cv2.INTER_NEAREST)
@@ -242,7 +237,7 @@ def _costs_nearby(left: Array, right: Array, middle: Array) -> Array:
     return costs
 
 
-def _refined(words: Array, right: Array, disparity: Array) -> Array:
+def _refine(words: Array, right: Array, disparity: Array) -> Array:
     """Return a smooth map (H, W), pixels, moved to where the images agree best, by half a pixel at most.
 
     words: the census of the left image. The right image is drawn again as the map says, and one pixel to either side.

@@ -159,7 +159,7 @@ def calibrated(
     try:
         if refined:
             brief = _brief(seen, how, options.model is None, circle, progress)
-            seen, selection, refinement, found = _refined(seen, brief, solve_seen, options, progress)
+            seen, selection, refinement, found = _refine(seen, brief, solve_seen, options, progress)
         else:
             selection = _solve_views(solve_seen, seen, progress)
     except (InsufficientData, NotConverged) as refusal:
@@ -249,7 +249,7 @@ def _solve_views(
         progress.finish()
 
 
-def _refined(
+def _refine(
     seen: BoardViews,
     brief: Calibration | None,
     solve: Callable[[Sequence[BoardDetection]], Selection],

@@ -119,6 +119,7 @@ def _scaled(value: float | None, factor: float) -> float | None:
 
 def _setup(setup: Setup) -> dict[str, Any]:
     options = setup.options
+    sources = {_SOURCED[name]: source for name, source in setup.sources.items() if getattr(setup, name) is not None}
     return {
         "camera": options.camera,
         **(_plain(setup, _SETUP) or {}),
@@ -126,15 +127,11 @@ def _setup(setup: Setup) -> dict[str, Any]:
         "wavelength_nm": 1e9 * options.wavelength,
         "sensor_mm": None if setup.sensor is None else [1e3 * side for side in setup.sensor],
         "image_size": setup.size,
-        "sources": {_SOURCED[name]: source for name, source in setup.sources.items() if _is_known(setup, name)},
+        "sources": sources,
     }
 
 
 _SOURCED = {name: key for name, (key, *_) in _SETUP.items()} | {"sensor": "sensor_mm", "size": "image_size"}
-
-
-def _is_known(setup: Setup, name: str) -> bool:
-    return getattr(setup, name) is not None
 
 
 def _solved(setup: Setup) -> dict[str, Any] | None:

@@ -94,20 +94,21 @@ def find_sets(
     """
     if len(exposures) not in (0, 1, len(inputs)):
         raise InvalidInput(f"{len(exposures)} exposures for {len(inputs)} inputs: give one, or one for each")
-    seen = [item for place, one in enumerate(inputs) for item in _named(one, _given(exposures, place))]
-    unread = [item for item in seen if item.exposure_s is None or item.paths[0].suffix.lower() in RAW_SUFFIXES]
+    given: list[float | None] = [*exposures] or [None]
+    seconds = given * len(inputs) if len(given) == 1 else given
+    items = [item for one, exposure in zip(inputs, seconds, strict=True) for item in _files_of(one, exposure)]
+    unread = [item for item in items if item.exposure_s is None or item.paths[0].suffix.lower() in RAW_SUFFIXES]
     if unread:
         work = partial(_read, reading=reading)
-        seen = values_of(fan_out(work, seen, jobs=jobs, what="looking at frames", progress=progress))
-    sets = [part for group in _grouped(seen) for part in ([group] if black is None else _by_brightness(group, black))]
+        items = values_of(fan_out(work, items, jobs=jobs, what="looking at frames", progress=progress))
+    groups: dict[tuple[Path, float | None, float | None], list[FrameSet]] = {}
+    for item in items:
+        groups.setdefault((item.paths[0].parent, item.exposure_s, item.iso), []).append(item)
+    sets = [part for group in groups.values() for part in ([group] if black is None else _by_brightness(group, black))]
     return [_as_set(part) for part in sets]
 
 
-def _given(exposures: Sequence[float], place: int) -> float | None:
-    return exposures[place if len(exposures) > 1 else 0] if exposures else None
-
-
-def _named(one: Path | str, exposure_s: float | None) -> list[FrameSet]:
+def _files_of(one: Path | str, exposure_s: float | None) -> list[FrameSet]:
     """Return the files of an input, each by itself, with what their folders' names tell."""
     found = []
     for path in find_images([one], recursive=True, also=HEADERLESS_SUFFIXES):
@@ -123,13 +124,6 @@ def _read(item: FrameSet, reading: RawInput) -> FrameSet:
     exposure = frame.capture.exposure_s if item.exposure_s is None else item.exposure_s
     iso = frame.capture.iso if item.iso is None else item.iso
     return FrameSet(item.paths, exposure, iso, float(frame.values.mean()))
-
-
-def _grouped(seen: Sequence[FrameSet]) -> list[list[FrameSet]]:
-    groups: dict[tuple[Path, float | None, float | None], list[FrameSet]] = {}
-    for item in seen:
-        groups.setdefault((item.paths[0].parent, item.exposure_s, item.iso), []).append(item)
-    return list(groups.values())
 
 
 def _by_brightness(group: list[FrameSet], black: float) -> list[list[FrameSet]]:
@@ -181,10 +175,18 @@ def sensor(options: SensorOptions, progress: Progress = SILENT) -> SensorReport:
     flats = _sets(options, progress, black=min(known, default=0.0))
     iso, flats, darks = _at_one_speed(flats, darks, options.iso)
     _require_apart(flats, darks)
-    spread = _widened((*flats, *darks), options, progress)
-    found = characterise(*(_levels(sets, spread, options, progress) for sets in (flats, darks)))
+    spread = _widening((*flats, *darks), options, progress)
+    work = partial(_measure, reading=options.reading, white=options.white, spread=spread)
+    found = characterise(
+        *(
+            values_of(fan_out(work, sets, jobs=options.jobs, what="measuring frames", progress=progress))
+            for sets in (flats, darks)
+        )
+    )
     warnings = (*_counts_warnings(found, spread, options), *found.warnings)
-    report = SensorReport(found, tuple(flats), tuple(darks), iso, _pitch(options, found.size), warnings)
+    name = options.sensor_format
+    pitch = options.pitch if name is None else pixel_pitch(sensor_format(name), found.size)
+    report = SensorReport(found, tuple(flats), tuple(darks), iso, pitch, warnings)
     if options.plot is not None:
         files.write_bytes(options.plot, encoded(characterisation(found), options.plot.suffix))
     files.write_text(options.output, emit.document(_file(report, options), COMMENT))
@@ -223,7 +225,7 @@ def _require_apart(flats: Sequence[FrameSet], darks: Sequence[FrameSet]) -> None
         raise InvalidInput("is both a flat and a dark frame", where=str(min(both)))
 
 
-def _widened(sets: Sequence[FrameSet], options: SensorOptions, progress: Progress) -> Widened | None:
+def _widening(sets: Sequence[FrameSet], options: SensorOptions, progress: Progress) -> Widened | None:
     """Return how the counts of the frames became 16 bits, by one frame of each level; None if they did not."""
     work = partial(_used_counts, reading=options.reading)
     paths = [one.paths[0] for one in sets]
@@ -232,13 +234,6 @@ def _widened(sets: Sequence[FrameSet], options: SensorOptions, progress: Progres
 
 def _used_counts(path: Path, reading: RawInput) -> Array:
     return used_counts(read_frame(path, reading))
-
-
-def _levels(
-    sets: Sequence[FrameSet], spread: Widened | None, options: SensorOptions, progress: Progress
-) -> list[Level]:
-    work = partial(_measure, reading=options.reading, white=options.white, spread=spread)
-    return values_of(fan_out(work, sets, jobs=options.jobs, what="measuring frames", progress=progress))
 
 
 def _measure(one: FrameSet, reading: RawInput, white: float | None, spread: Widened | None) -> Level:
@@ -269,11 +264,6 @@ def _counts_warnings(found: Characterisation, spread: Widened | None, options: S
     # Pixels that are full before the counts end need no white level.
     if likely is not None and (found.saturation != FULL_WELL or found.peak == likely):
         yield low_peak(found.peak, found.white, likely)
-
-
-def _pitch(options: SensorOptions, size: tuple[int, int]) -> float | None:
-    name = options.sensor_format
-    return options.pitch if name is None else pixel_pitch(sensor_format(name), size)
 
 
 def sensor_block(report: SensorReport) -> dict[str, Any]:

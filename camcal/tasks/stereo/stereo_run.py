@@ -6,7 +6,6 @@ Each pair goes from two images to a cloud and a page, with all that is written o
 from collections.abc import Generator, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
-from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -115,14 +114,17 @@ class PairRun:
         save(places.left, for_png(images.left))
         save(places.right, for_png(images.right))
         images = replace(images, image=places.left)
-        check, doubts = _checked(images)
+        check, doubts = _check(images)
         found = match_images(images, options.matching, jobs=self.jobs)
         own = DisparityOptions((), (), places.map, matching=options.matching)
         matched = write_map(images, found, MapFiles.beside(places.map), own, None)
         heard = Collected()
         how = CloudOptions(places.map, places.cloud, points=options.points, vertices=options.vertices, jobs=self.jobs)
         cloud = write_points(how, source_of_match(images, found), heard)
-        page = _write_page(places, capture.name) if cloud.points else None
+        page = None
+        if cloud.points:
+            page, scene = places.page, gather(cloud_in(places.cloud), MOST_POINTS[PAGE])
+            files.write_text(page, cloud_view.page(scene, capture.name, Start(paint_of(scene, None).name)))
         warnings = (*doubts, *matched.warnings, *heard.warnings)
         named = capture._replace(frames=None)  # frames would be kept for as long as the report is
         figures = None if check is None else check.figures()
@@ -136,18 +138,12 @@ class PairRun:
         return rectified_pair(sources, pixels[0], pixels[1], self.rig)
 
 
-def _checked(images: PairImages) -> tuple[PairCheck | None, tuple[Message, ...]]:
+def _check(images: PairImages) -> tuple[PairCheck | None, tuple[Message, ...]]:
     """Return the check of rectified images, or why there is none; what is wrong with the pair the matching says too."""
     try:
         return check_images(images), ()
     except (InsufficientData, InvalidInput) as error:
         return None, (Message("rows_not_checked", f"row offsets not checked: {error.message}"),)
-
-
-def _write_page(places: RunFiles, title: str) -> Path:
-    scene = gather(cloud_in(places.cloud), MOST_POINTS[PAGE])
-    files.write_text(places.page, cloud_view.page(scene, title, Start(paint_of(scene, None).name)))
-    return places.page
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,7 +183,7 @@ def stereo_run(options: RunOptions, progress: Progress = SILENT) -> RunReport:
     rectified = folder / RECTIFIED
     outputs = [path for name in scene.names for path in RunFiles.of(folder, name, options.clouds).every()]
     claim([*outputs, rectified, *([] if options.rig else [folder / RIG])])
-    calibration = None if options.rig else _calibrated(options, folder / RIG, progress)
+    calibration = None if options.rig else _calibrate(options, folder / RIG, progress)
     address = options.rig or str(folder / RIG)
     # what is said of a file made here, its calibration has said already
     rig = read_rig(address, options.cameras, scene.size, progress=SILENT if calibration else progress)
@@ -228,7 +224,7 @@ def require_good(report: RunReport, options: RunOptions) -> None:
         raise ItemsFailed.of(len(failed), len(report.outcomes), "pairs")
 
 
-def _calibrated(options: RunOptions, path: Path, progress: Progress) -> RigReport:
+def _calibrate(options: RunOptions, path: Path, progress: Progress) -> RigReport:
     settings = replace(
         options.settings, output=path, recursive=options.recursive, jobs=options.jobs, batch=options.batch
     )
@@ -246,8 +242,11 @@ def _outcomes(
     run = PairRun(rig, options, options.jobs if alone else 1)
     settings = fingerprint.of_settings(options, without=("inputs", "scene", "every", "recursive"))
     facts = [settings, fingerprint.of_file(rig_file), scene.size()]
-    written = partial(_written, options=options)
-    pairs: Items[Capture, RunPair] = Items(fingerprint.of_data(facts), _inputs, written, RunPair, _named)
+
+    def outputs(capture: Capture) -> list[Path]:
+        return list(RunFiles.of(options.output, capture.name, options.clouds).every())
+
+    pairs: Items[Capture, RunPair] = Items(fingerprint.of_data(facts), _inputs, outputs, RunPair, _named)
     with closing(scene.captures()) as frames:
         yield from resumable(
             run,
@@ -271,10 +270,6 @@ def _inputs(capture: Capture) -> list[Path | str]:
 
 def _named(capture: Capture) -> tuple[Path, Path]:
     return capture.left, capture.right
-
-
-def _written(capture: Capture, options: RunOptions) -> list[Path]:
-    return list(RunFiles.of(options.output, capture.name, options.clouds).every())
 
 
 @dataclass(frozen=True, eq=False)

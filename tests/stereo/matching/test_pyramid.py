@@ -5,7 +5,7 @@ import pytest
 from layered import layered_pair
 
 from camcal.stereo.disparity import Confidence
-from camcal.stereo.matching.match import match
+from camcal.stereo.matching.match import _halve_pair, match
 from camcal.stereo.matching.preparation import gray_pair, noise_of
 from camcal.stereo.matching.semi_global import aggregate
 from camcal.stereo.options import ALL, BALANCED, BEST, FILLS, MatchOptions
@@ -63,5 +63,5 @@ def test_images_of_any_size_have_a_half(monkeypatch, size, quality):
 def test_the_noise_of_a_pair_at_half_its_size_is_what_is_measured_there():
     rng = np.random.default_rng(3)
     images = [np.clip(128 + 3.5 * rng.normal(size=(200, 300)), 0, 255).astype(np.uint8) for _ in range(2)]
-    half = match._halved(gray_pair(*images))
+    half = _halve_pair(gray_pair(*images))
     assert half.noise == pytest.approx(noise_of(half.left), rel=0.2)  # medians of whole gray levels
