@@ -55,6 +55,7 @@ OPENCV_EDGES = {
     "run/fanout.py",
     "stereo/matching/filling.py",
     "stereo/matching/learned.py",
+    "stereo/matching/match.py",
     "stereo/matching/matchers.py",
     "stereo/matching/preparation.py",
     "stereo/matching/semi_global.py",

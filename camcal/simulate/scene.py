@@ -95,7 +95,7 @@ def views(
             return [found[index] for index in range(count)]
         attempts = _draw(camera, missing, rng, partial, max_tilt)
         attempts = replace(attempts, fill=ease * attempts.fill)
-        rotations, translations = _fitted_into_image(camera, outline, attempts)
+        rotations, translations = _fit_into_image(camera, outline, attempts)
         for slot in np.flatnonzero(_acceptable(camera, outline, attempts, rotations, translations)):
             found[int(missing[slot])] = Pose(rotations[slot], translations[slot])
     raise InvalidInput(
@@ -126,7 +126,7 @@ def _spread(rng: np.random.Generator, count: int) -> Array:
     return np.asarray((rng.permutation(count) + rng.random(count)) / count)
 
 
-def _fitted_into_image(camera: Camera, outline: _Outline, attempts: _Attempts) -> tuple[Array, Array]:
+def _fit_into_image(camera: Camera, outline: _Outline, attempts: _Attempts) -> tuple[Array, Array]:
     """Return rotations (V, 3, 3) and translations (V, 3) of boards brought to their size and into the image."""
     size = np.asarray(camera.image_size)
     middle = (size - 1) / 2
@@ -184,13 +184,13 @@ def _can_be_drawn(camera: Camera, outline: _Outline, rotations: Array, translati
 def seen(camera: Camera, board: Board, poses: Sequence[Pose], *, partial: bool = False) -> Array:
     """Return the mask (V,) of poses camera_T_board at which an image has the whole board, or enough of it."""
     outline = _Outline.of(board)
-    rotations, translations = _stacked(poses)
+    rotations, translations = _stack(poses)
     points, least = (outline.corners, PARTIAL_SHARE) if partial else (np.vstack([outline.rim, outline.corners]), 1.0)
     shown = _share_in_image(camera, points, rotations, translations)
     return np.asarray((shown >= least) & _can_be_drawn(camera, outline, rotations, translations))
 
 
-def _stacked(poses: Sequence[Pose]) -> tuple[Array, Array]:
+def _stack(poses: Sequence[Pose]) -> tuple[Array, Array]:
     """Return the rotations (V, 3, 3) and translations (V, 3) of poses."""
     rotations = np.array([pose.rotation for pose in poses]).reshape(-1, 3, 3)
     return rotations, np.array([pose.translation for pose in poses]).reshape(-1, 3)
@@ -203,10 +203,10 @@ def motion(camera: Camera, board: Board, count: int, *, rng: np.random.Generator
     """
     stops = views(camera, board, 2 + (count - 1) // LEG, rng=rng)
     legs = [divmod(index, LEG) for index in range(count)]
-    return [_between(stops[leg], stops[leg + 1], _eased(frame / LEG)) for leg, frame in legs]
+    return [_between(stops[leg], stops[leg + 1], _ease(frame / LEG)) for leg, frame in legs]
 
 
-def _eased(share: float) -> float:
+def _ease(share: float) -> float:
     """Return a share of the way that begins and ends at rest."""
     return share**2 * (3 - 2 * share)
 
@@ -258,7 +258,7 @@ def observe(
     """
     if noise_px < 0 or not 0 <= outliers <= 1:
         raise InvalidInput(f"noise {noise_px} must not be negative, the share of outliers {outliers} within 0…1")
-    exact, valid = project_all(camera, shape.points(board), *_stacked(poses))
+    exact, valid = project_all(camera, shape.points(board), *_stack(poses))
     displaced = rng.random(valid.shape) < outliers
     angle = rng.uniform(0, 2 * np.pi, valid.shape)
     jump = outlier_px * np.stack([np.cos(angle), np.sin(angle)], axis=-1)

@@ -110,10 +110,10 @@ def document(report: OpticsReport) -> dict[str, Any]:
 def _plain(record: object | None, shown: _Shown) -> dict[str, Any] | None:
     if record is None:
         return None
-    return {key: _scaled(getattr(record, name), factor) for name, (key, _, factor, _) in shown.items()}
+    return {key: _scale(getattr(record, name), factor) for name, (key, _, factor, _) in shown.items()}
 
 
-def _scaled(value: float | None, factor: float) -> float | None:
+def _scale(value: float | None, factor: float) -> float | None:
     return None if value is None else value * factor
 
 
@@ -225,7 +225,7 @@ def _figure_rows(records: Sequence[At], shown: _Shown) -> list[list[str]]:
     """Return a row for each figure that is known for any of the records: its words with the unit, the values."""
     rows = []
     for name, (_, words, factor, unit) in shown.items():
-        values: list[float | None] = [_scaled(getattr(record, name), factor) for record in records]
+        values: list[float | None] = [_scale(getattr(record, name), factor) for record in records]
         if name != "distance" and any(value is not None for value in values):
             figure = f"{words}, {unit}" if unit else words
             rows.append([figure, *("-" if value is None else in_words(value) for value in values)])
