@@ -319,9 +319,7 @@ def pictures(images: Sequence[str], output: Path) -> dict[str, Path]:
 def _draw_views(
     views: Sequence[BoardDetection], videos: Sequence[Video], options: DetectOptions, progress: Progress
 ) -> tuple[Path, ...]:
-    """Return the pictures that were written, if they are asked for one for each view; raises FileError if one cannot
-    be written.
-    """
+    """Return the pictures that were written, one for each view if any are wanted; FileError if one cannot be."""
     if options.draw is None:
         return ()
     outputs = pictures([view.image for view in views], options.draw)
