@@ -14,7 +14,7 @@ from camcal.images.npy import read_npy, write_npy
 from camcal.images.save import save
 from camcal.raw.calibration_frames import stack
 from camcal.raw.mosaic import cell_side, is_x_trans, phases
-from camcal.raw.options import MONO
+from camcal.raw.names import MONO
 
 MASK_SUFFIXES = frozenset({".png", ".tif", ".tiff", ".pgm"})
 TEXT_SUFFIXES = frozenset({"", ".txt", ".badpixels"})  # dcraw searches for a file that is named .badpixels

@@ -17,20 +17,10 @@ from camcal.files import read_bytes
 from camcal.parsing import parse_numbers
 from camcal.raw import bad_pixels
 from camcal.raw.colour import DTYPES, balance_in_place, encode, found_gains, quantise
-from camcal.raw.demosaic import GRAY, NONE, demosaic
+from camcal.raw.demosaic import demosaic
 from camcal.raw.mosaic import Mosaic, full_scale, phases
-from camcal.raw.options import (
-    AUTO,
-    GRAY_WORLD,
-    LINEAR,
-    MONO,
-    NO_BALANCE,
-    NO_MATRIX,
-    SRGB,
-    Balance,
-    Development,
-    Gains,
-)
+from camcal.raw.names import AUTO, GRAY, MONO, NONE
+from camcal.raw.options import GRAY_WORLD, LINEAR, NO_BALANCE, NO_MATRIX, SRGB, Balance, Development, Gains
 from camcal.raw.planes import Each, one_by_one
 
 

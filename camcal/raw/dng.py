@@ -15,7 +15,7 @@ from camcal.arrays import Array
 from camcal.errors import InvalidInput
 from camcal.files import write_bytes
 from camcal.raw.mosaic import Capture, Mosaic, cell_side
-from camcal.raw.options import MONO
+from camcal.raw.names import MONO
 
 _BYTE, _ASCII, _SHORT, _LONG, _RATIONAL, _SRATIONAL = 1, 2, 3, 4, 5, 10
 _CODES = {_BYTE: "B", _ASCII: "c", _SHORT: "H", _LONG: "I", _RATIONAL: "I", _SRATIONAL: "i"}

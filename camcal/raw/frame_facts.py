@@ -19,7 +19,7 @@ from camcal.arrays import Array, readonly
 from camcal.errors import InvalidInput
 from camcal.messages import Message
 from camcal.raw.mosaic import Mosaic, channel_names, phases
-from camcal.raw.options import PATTERNS
+from camcal.raw.names import PATTERNS
 
 BINS = 64
 _ROWS = 64

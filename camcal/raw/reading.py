@@ -21,7 +21,8 @@ from camcal.images.exif import JPEG, PNG, read_jpeg
 from camcal.images.load import load, png_has_colour
 from camcal.raw.headerless import read_headerless
 from camcal.raw.mosaic import Capture, Mosaic, cell_side, full_scale, is_x_trans, phases, require_pattern
-from camcal.raw.options import BARE_SUFFIXES, HEADERLESS_SUFFIXES, MONO, NO_LAYOUT, PATTERNS, GivenLayout
+from camcal.raw.names import MONO, PATTERNS
+from camcal.raw.options import BARE_SUFFIXES, HEADERLESS_SUFFIXES, NO_LAYOUT, GivenLayout
 
 
 def read_mosaic(

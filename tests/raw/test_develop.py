@@ -9,7 +9,8 @@ from camcal.errors import InsufficientData, InvalidInput
 from camcal.raw.colour import encode, found_gains, quantise
 from camcal.raw.develop import Corrections, develop, linearise, negative
 from camcal.raw.mosaic import Mosaic, sites
-from camcal.raw.options import MONO, PATTERNS, Balance, Development
+from camcal.raw.names import MONO, PATTERNS
+from camcal.raw.options import Balance, Development
 
 
 def frame(light, pattern="RGGB", black=(64.0, 64.0, 64.0, 64.0), white=1023.0, camera_gains=None):

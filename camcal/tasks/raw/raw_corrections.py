@@ -17,7 +17,8 @@ from camcal.raw import bad_pixels
 from camcal.raw.calibration_frames import dark_average, flat_gain, stack
 from camcal.raw.develop import NO_CORRECTIONS, Corrections, linearise
 from camcal.raw.mosaic import Mosaic, channel_names
-from camcal.raw.options import HEADERLESS_SUFFIXES, MONO
+from camcal.raw.names import MONO
+from camcal.raw.options import HEADERLESS_SUFFIXES
 from camcal.raw.reading import read_mosaic
 from camcal.run.outputs import writes
 from camcal.run.paths import find_images
