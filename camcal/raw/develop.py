@@ -15,7 +15,7 @@ from camcal.arrays import Array, BoolArray, Float32Array, PixelArray
 from camcal.errors import FileError, InvalidInput
 from camcal.files import read_bytes
 from camcal.parsing import parse_numbers
-from camcal.raw import bad_pixels
+from camcal.raw import calibration_frames
 from camcal.raw.colour import DTYPES, balance_in_place, encode, found_gains, quantise
 from camcal.raw.demosaic import demosaic
 from camcal.raw.mosaic import Mosaic, full_scale, phases
@@ -179,7 +179,7 @@ def clipped_shares(frame: Mosaic) -> tuple[float, ...]:
 
 
 def _repaired(values: Array, frame: Mosaic, corrections: Corrections) -> Array:
-    return values if corrections.bad is None else bad_pixels.repair(values, corrections.bad, frame.pattern)
+    return values if corrections.bad is None else calibration_frames.repair(values, corrections.bad, frame.pattern)
 
 
 def _finished(pixels: Array, tone: str, depth: np.dtype[np.generic]) -> Array:

@@ -11,7 +11,7 @@ from typing import Any
 from camcal import messages
 from camcal.errors import GateFailed, InvalidInput, ItemsFailed
 from camcal.formats import native
-from camcal.formats.plausibility import untrustworthy
+from camcal.formats.native import untrustworthy
 from camcal.images import video
 from camcal.images.load import load
 from camcal.messages import Message
