@@ -214,10 +214,9 @@ def as_ros(file: CameraFile, rectification: Rectification, right_T_left: Pose) -
     found = require_pinhole(rectification, "--ros")
     names = rectification.left, rectification.right
     matrices = {names[0]: (found.R1, found.P1), names[1]: (found.R2, found.P2)}
-    entries = {name: replace(file.cameras[name], extra={ros.VENDOR_KEY: _kept(*matrices[name])}) for name in names}
+    entries = {}
+    for name, (rotation, projection) in matrices.items():
+        block = {"rectification": rotation.ravel().tolist(), "projection": projection.ravel().tolist()}
+        entries[name] = replace(file.cameras[name], extra={ros.VENDOR_KEY: block})
     pair = CameraFile(entries, {f"{names[1]}_T_{names[0]}": Transform(right_T_left)})
     return cameras.prepared(pair, ros.FORMAT, "--ros").file
-
-
-def _kept(rotation: np.ndarray, projection: np.ndarray) -> Mapping[str, list[float]]:
-    return {"rectification": rotation.ravel().tolist(), "projection": projection.ravel().tolist()}

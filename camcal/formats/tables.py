@@ -41,19 +41,14 @@ def numbered_lines(path: Path) -> list[tuple[int, str]]:
 
     Raises FileError if the file cannot be read or has more than MAX_LINES.
     """
-    return numbered(files.read_text(path), str(path))
-
-
-def numbered(text: str, where: str) -> list[tuple[int, str]]:
-    """Return the lines of a text that are not blank, with their numbers from 1; where: what messages call it.
-
-    Raises FileError for more than MAX_LINES.
-    """
-    return list(iterate_lines(text, where))
+    return list(iterate_lines(files.read_text(path), str(path)))
 
 
 def iterate_lines(text: str, where: str) -> Iterator[tuple[int, str]]:
-    """Yield what `numbered` returns, a line at a time: a line in a list takes three times the memory of its text."""
+    """Yield the lines of a text that are not blank, with their numbers from 1; where: what messages call it.
+
+    One at a time: a line in a list takes three times the memory of its text. Raises FileError for more than MAX_LINES.
+    """
     count = text.count("\n")
     if count > MAX_LINES:
         raise FileError(f"{count} lines are more than the limit of {MAX_LINES}", where=where)
@@ -262,7 +257,10 @@ def number_rows(path: str, lines: Lines, counts: Sequence[int], delimiter: str |
         expected = len(lines[0][1].split(delimiter)) if lines else 0
         counts = [expected] if expected in counts else counts
         rows = [_numbers_of(f"{path}:{number}", line.split(delimiter), counts) for number, line in lines]
-        _refuse_ragged(path, lines, [len(row) for row in rows])
+        for (number, _), row in zip(lines, rows, strict=True):
+            if len(row) != len(rows[0]):
+                message = f"{len(row)} numbers, other lines have {len(rows[0])}"
+                raise InvalidInput(message, where=f"{path}:{number}")
         table = np.array(rows)
     bad = ~np.isfinite(table).all(axis=1)
     if bad.any():
@@ -327,9 +325,3 @@ def _numbers_of(where: str, cells: Sequence[str], counts: Sequence[int]) -> list
         except ValueError as error:
             raise InvalidInput(f"{cell.strip()[:LONGEST_QUOTE]!r} is not a number", where=where) from error
     return parse_numbers(cells)
-
-
-def _refuse_ragged(path: str, lines: Lines, widths: Sequence[int]) -> None:
-    other = next((index for index, width in enumerate(widths) if width != widths[0]), None)
-    if other is not None:
-        raise InvalidInput(f"{widths[other]} numbers, other lines have {widths[0]}", where=f"{path}:{lines[other][0]}")

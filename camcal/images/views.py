@@ -31,7 +31,10 @@ def make_view(camera: Camera, options: ViewOptions | None = None, circle: ImageC
     options = options or ViewOptions()
     size = options.size or camera.image_size
     if options.keep_k:
-        return _kept(camera, size)
+        model = model_named(PINHOLE)
+        parameters = np.array([camera.value(name) for name in model.parameter_names])
+        scale = size[0] / camera.image_size[0], size[1] / camera.image_size[1]
+        return Camera(model, size, model.rescale(parameters, scale, (0.0, 0.0)))
     if options.projection == PINHOLE and options.fov_deg is None:
         return _cropped(camera, circle, options.alpha or 0.0, size, stretch=options.stretch)
     return _spanning(camera, circle, options.projection, options.fov_deg, size)
@@ -45,13 +48,6 @@ def seen_across(camera: Camera, circle: ImageCircle | None = None) -> float:
     if not np.isfinite(angles).any():  # the lens model ends before the image does
         angles = _angles(_outline(camera, circle))
     return float(2 * np.nanmax(angles))
-
-
-def _kept(camera: Camera, size: tuple[int, int]) -> Camera:
-    model = model_named(PINHOLE)
-    parameters = np.array([camera.value(name) for name in model.parameter_names])
-    scale = size[0] / camera.image_size[0], size[1] / camera.image_size[1]
-    return Camera(model, size, model.rescale(parameters, scale, (0.0, 0.0)))
 
 
 def _spanning(

@@ -141,19 +141,10 @@ def _directory(entries: Sequence[_Entry], start: int) -> bytes:
     beyond = start + 2 + _ENTRY * len(entries) + 4
     packed = bytearray(struct.pack("<H", len(entries)))
     for entry in sorted(entries):
-        content = _packed(entry)
-        packed += struct.pack("<HHI", entry.tag, entry.kind, _count(entry))
+        values, per_value = entry.values, 2 if entry.kind in (_RATIONAL, _SRATIONAL) else 1
+        content = values if isinstance(values, bytes) else struct.pack(f"<{len(values)}{_CODES[entry.kind]}", *values)
+        packed += struct.pack("<HHI", entry.tag, entry.kind, len(values) // per_value)
         packed += content.ljust(4, b"\0") if len(content) <= 4 else struct.pack("<I", beyond + len(outside))
         if len(content) > 4:
             outside += content + bytes(len(content) % 2)  # values begin on even bytes
     return bytes(packed) + struct.pack("<I", 0) + bytes(outside)
-
-
-def _packed(entry: _Entry) -> bytes:
-    if isinstance(entry.values, bytes):
-        return entry.values
-    return struct.pack(f"<{len(entry.values)}{_CODES[entry.kind]}", *entry.values)
-
-
-def _count(entry: _Entry) -> int:
-    return len(entry.values) // (2 if entry.kind in (_RATIONAL, _SRATIONAL) else 1)
