@@ -36,8 +36,8 @@ def make_view(camera: Camera, options: ViewOptions | None = None, circle: ImageC
         scale = size[0] / camera.image_size[0], size[1] / camera.image_size[1]
         return Camera(model, size, model.rescale(parameters, scale, (0.0, 0.0)))
     if options.projection == PINHOLE and options.fov_deg is None:
-        return _cropped(camera, circle, options.alpha or 0.0, size, stretch=options.stretch)
-    return _spanning(camera, circle, options.projection, options.fov_deg, size)
+        return _crop(camera, circle, options.alpha or 0.0, size, stretch=options.stretch)
+    return _span_field(camera, circle, options.projection, options.fov_deg, size)
 
 
 def seen_across(camera: Camera, circle: ImageCircle | None = None) -> float:
@@ -50,7 +50,7 @@ def seen_across(camera: Camera, circle: ImageCircle | None = None) -> float:
     return float(2 * np.nanmax(angles))
 
 
-def _spanning(
+def _span_field(
     camera: Camera, circle: ImageCircle | None, projection: str, fov_deg: float | None, size: tuple[int, int]
 ) -> Camera:
     """Return the view that spans the field of view from edge to edge, or what the lens sees across."""
@@ -65,9 +65,7 @@ def _of_half_width(model: CameraModel, size: tuple[int, int], half_width: float)
     return Camera(model, size, model.start(size, size[0] / 2 / half_width))
 
 
-def _cropped(
-    camera: Camera, circle: ImageCircle | None, alpha: float, size: tuple[int, int], *, stretch: bool
-) -> Camera:
+def _crop(camera: Camera, circle: ImageCircle | None, alpha: float, size: tuple[int, int], *, stretch: bool) -> Camera:
     """Return the pinhole between the largest crop without an empty pixel and the smallest frame around all pixels."""
     if min(size) < 2:
         raise _no_crop(size)
@@ -87,7 +85,7 @@ def _cropped(
         refuse_pinhole(widest)
     inner = _without_empty_pixels(camera, circle, inner, size)
     outer = enclosing_box(outline, None if stretch else shape)
-    return _filled((1 - alpha) * inner + alpha * outer, size)
+    return _fill((1 - alpha) * inner + alpha * outer, size)
 
 
 def _without_empty_pixels(camera: Camera, circle: ImageCircle | None, box: Array, size: tuple[int, int]) -> Array:
@@ -95,7 +93,7 @@ def _without_empty_pixels(camera: Camera, circle: ImageCircle | None, box: Array
     middle = (box[:2] + box[2:]) / 2
     for shrink in _SHRINKS:
         smaller = np.tile(middle, 2) + (1 - shrink) * (box - np.tile(middle, 2))
-        if _is_full(Trace(camera, _filled(smaller, size), circle=circle)):
+        if _is_full(Trace(camera, _fill(smaller, size), circle=circle)):
             return smaller
     raise _no_crop(size)
 
@@ -115,7 +113,7 @@ def _is_full(trace: Trace) -> bool:
     return all(bool(((where >= 0) & (where <= last)).all()) for where in positions)
 
 
-def _filled(box: Array, size: tuple[int, int]) -> Camera:
+def _fill(box: Array, size: tuple[int, int]) -> Camera:
     """Return the pinhole whose outermost pixel centres are the edges of a box (left, top, right, bottom) at Z = 1."""
     if not (box[2:] - box[:2] > _NARROWEST).all():
         raise _no_crop(size)

@@ -23,7 +23,7 @@ _CEILING = 0.9  # of saturation: a clipped sample says nothing about the colour 
 _ENOUGH = 1 << 20  # samples that a mean is taken from
 
 
-def found_gains(balance: Balance, light: Array, pattern: str, camera_gains: Array | None) -> Gains | None:
+def find_gains(balance: Balance, light: Array, pattern: str, camera_gains: Array | None) -> Gains | None:
     """Return the gains of red, green and blue for linear light (H, W), 1 at saturation; None for no balance.
 
     Raises InvalidInput if the camera's are asked for and unknown, or the patch is not within the frame;
@@ -34,11 +34,11 @@ def found_gains(balance: Balance, light: Array, pattern: str, camera_gains: Arra
     if balance.text == CAMERA:
         if camera_gains is None:
             raise InvalidInput("has no camera white balance; use gray-world, a patch, or R,G,B")
-        return _normalised(balance, camera_gains)
+        return _normalise(balance, camera_gains)
     if balance.text == GRAY_WORLD:
-        return _normalised(balance, 1 / mean_light(light, pattern))
+        return _normalise(balance, 1 / mean_light(light, pattern))
     if balance.text.startswith(PATCH):
-        return _normalised(balance, 1 / mean_light(*_inside_patch(balance, light, pattern)))
+        return _normalise(balance, 1 / mean_light(*_inside_patch(balance, light, pattern)))
     return balance.gains()
 
 
@@ -54,7 +54,7 @@ def _inside_patch(balance: Balance, light: Array, pattern: str) -> tuple[Array, 
     return inside, pattern
 
 
-def _normalised(balance: Balance, gains: Array) -> Gains:
+def _normalise(balance: Balance, gains: Array) -> Gains:
     red, green, blue = (float(gain) for gain in gains / (gains[1] if balance.normalise == "green" else gains.min()))
     return red, green, blue
 
