@@ -14,23 +14,16 @@ Every message says what, where, how much and what to do, in one line (several fi
 import errno
 import os
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from camcal.messages import Message
+from camcal.messages import Message
+from camcal.parsing import in_one_line
 
 EXIT_BUG = 1
 EXIT_INTERRUPTED = 130
 EXIT_SIGNAL = 128  # and the number of the signal, as shells count
 
-_LINE_BREAKS = {ord(letter): repr(letter)[1:-1] for letter in "\n\r\v\f\x1c\x1d\x1e\x85\u2028\u2029"}
 _CV2_NO_MEMORY = -4  # StsNoMem of OpenCV, whose Python exceptions have one type
 _DISK_FULL = {errno.ENOSPC: "the disk is full", errno.EDQUOT: "the disk quota is used up"}
-
-
-def in_one_line(text: str) -> str:
-    """Return a name with its line breaks written as escapes, so that a message about it keeps to its line."""
-    return text.translate(_LINE_BREAKS)
 
 
 class CamcalError(Exception):
@@ -42,7 +35,7 @@ class CamcalError(Exception):
     exit_code = EXIT_BUG
     kind = "bug"
 
-    def __init__(self, message: str, *, where: str | None = None, failures: "Sequence[Message]" = ()) -> None:
+    def __init__(self, message: str, *, where: str | None = None, failures: Sequence[Message] = ()) -> None:
         super().__init__(message)
         self.message = message
         self.where = where

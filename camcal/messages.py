@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from camcal.brief import Brief
-from camcal.errors import in_one_line
+from camcal.parsing import in_one_line
 
 Value = float | int | str | tuple[str, ...]
 

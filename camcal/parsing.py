@@ -1,4 +1,4 @@
-"""Parsing of user input: numbers, and suggestions for misspelt names.
+"""Texts of users: numbers, names of files, and suggestions for misspelt names.
 
 Numbers are taken as every other program writes them: Python alone also takes 1_000 and the digits of all scripts.
 """
@@ -9,6 +9,7 @@ from difflib import get_close_matches
 LARGEST = 1e12  # of a number in a file that nothing else limits: squares of squares of more are no numbers any longer
 _LONGEST = 400  # characters: no number that means anything has more
 _FEW = 24  # names that a message lists
+_LINE_BREAKS = {ord(letter): repr(letter)[1:-1] for letter in "\n\r\v\f\x1c\x1d\x1e\x85\u2028\u2029"}
 
 
 def parse_number(text: str) -> float:
@@ -59,3 +60,8 @@ def did_you_mean(name: str, known: Iterable[str], otherwise: str | None = None) 
 def _require_plain(text: str) -> None:
     if not text.isascii() or "_" in text or len(text) > _LONGEST:
         raise ValueError(f"{text[:40]!r} is not a number")
+
+
+def in_one_line(text: str) -> str:
+    """Return a name with its line breaks written as escapes, so that a message about it keeps to its line."""
+    return text.translate(_LINE_BREAKS)

@@ -19,9 +19,9 @@ from typer.core import CompletionItem, TyperGroup  # type: ignore[attr-defined] 
 
 from camcal import __version__
 from camcal.cli import examples, show
-from camcal.errors import EXIT_BUG, EXIT_INTERRUPTED, EXIT_SIGNAL, FileError, InvalidInput, in_one_line, translated
+from camcal.errors import EXIT_BUG, EXIT_INTERRUPTED, EXIT_SIGNAL, FileError, InvalidInput, translated
 from camcal.images import limits
-from camcal.parsing import nearest
+from camcal.parsing import in_one_line, nearest
 from camcal.run.process import BLAS_THREADS, Stopped, require_address_space, stop_on_signals
 
 

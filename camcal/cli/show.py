@@ -15,9 +15,10 @@ from pathlib import Path, PurePath
 from typing import Any, TextIO
 
 from camcal.cli.progress_bar import ProgressBar
-from camcal.errors import FileError, in_one_line, reason
+from camcal.errors import FileError, reason
 from camcal.files import STANDARD
 from camcal.messages import Message, as_data, counted
+from camcal.parsing import in_one_line
 from camcal.progress import Item, Outcome, Progress, Silent
 from camcal.report.table import Column, table_lines, wrapped
 from camcal.urls import named

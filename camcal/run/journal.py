@@ -18,8 +18,9 @@ from pathlib import Path
 from typing import Any, Generic
 
 from camcal import files, folders, urls
-from camcal.errors import CamcalError, FileError, in_one_line, reason
+from camcal.errors import CamcalError, FileError, reason
 from camcal.options import declared
+from camcal.parsing import in_one_line
 from camcal.progress import SILENT, Item, Outcome, Progress, Value, values_of
 from camcal.run import fingerprint, manifest, records
 from camcal.run.fanout import fan_out

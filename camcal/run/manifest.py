@@ -16,7 +16,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 from camcal import files, folders, system, urls
-from camcal.errors import FileError, in_one_line, reason
+from camcal.errors import FileError, reason
+from camcal.parsing import in_one_line
 
 MANIFEST = ".camcal-output"
 

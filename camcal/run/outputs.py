@@ -22,10 +22,11 @@ from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
 
 from camcal import files
-from camcal.errors import FileError, InvalidInput, in_one_line, reason
+from camcal.errors import FileError, InvalidInput, reason
 from camcal.files import STANDARD
 from camcal.folders import KNOWN, OutputFolders, require_writable
 from camcal.options import Declared, declared
+from camcal.parsing import in_one_line
 from camcal.run import manifest
 from camcal.run.manifest import MANIFEST, Entry
 from camcal.run.option_paths import inputs_of, is_folder, outputs_of, refuse_one_place, require_folder

@@ -15,9 +15,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from camcal import files, system
-from camcal.errors import FileError, InvalidInput, in_one_line
+from camcal.errors import FileError, InvalidInput
 from camcal.images.image import RAW_SUFFIXES, conversion_advice
-from camcal.parsing import nearest
+from camcal.parsing import in_one_line, nearest
 from camcal.run.outputs import listed
 
 IMAGE_SUFFIXES = RAW_SUFFIXES | {

@@ -12,11 +12,11 @@ from pathlib import Path
 from typing import Any
 
 from camcal import files
-from camcal.errors import CamcalError, in_one_line
+from camcal.errors import CamcalError
 from camcal.formats import documents
 from camcal.formats.documents import Fault, child
 from camcal.options import Declared, by_group
-from camcal.parsing import did_you_mean
+from camcal.parsing import did_you_mean, in_one_line
 
 Value = str | bool | list[str]
 

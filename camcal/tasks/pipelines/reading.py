@@ -12,12 +12,12 @@ from pathlib import Path
 from typing import Any
 
 from camcal import files
-from camcal.errors import CamcalError, InvalidInput, in_one_line
+from camcal.errors import CamcalError, InvalidInput
 from camcal.files import STANDARD
 from camcal.formats import documents
 from camcal.formats.documents import Document, Fault, child
 from camcal.options import Declared, declared
-from camcal.parsing import did_you_mean
+from camcal.parsing import did_you_mean, in_one_line
 from camcal.run.option_paths import is_folder
 from camcal.run.options import located
 from camcal.run.settings import is_note, read_settings, typed, wrong_settings

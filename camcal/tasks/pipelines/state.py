@@ -14,10 +14,11 @@ from typing import Any
 
 import camcal
 from camcal import files, urls
-from camcal.errors import CamcalError, FileError, in_one_line
+from camcal.errors import CamcalError, FileError
 from camcal.formats import documents
 from camcal.messages import Message, as_data, counted
 from camcal.options import declared
+from camcal.parsing import in_one_line
 from camcal.progress import SILENT, Progress
 from camcal.run import fingerprint
 from camcal.run.fanout import fan_out
