@@ -1,4 +1,4 @@
-"""A run with one result is not repeated as long as inputs, settings, what is asked for and what it wrote are the same."""
+"""A run with one result is not repeated while inputs, settings, what is asked for and what it wrote are the same."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
