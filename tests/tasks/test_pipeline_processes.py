@@ -72,7 +72,7 @@ def test_steps_in_processes_write_the_same_bytes_as_one_by_one(pipeline):
     assert len(files_of(one)) >= 9
 
 
-def where(job, progress=SILENT):  # noqa: ARG001 - as steps are called
+def where(job, progress=SILENT):
     """A step that says in which process it runs."""
     return StepResult({"process": float(os.getpid())})
 
