@@ -58,7 +58,6 @@ OPENCV_EDGES = {
     "stereo/matching/match.py",
     "stereo/matching/matchers.py",
     "stereo/matching/preparation.py",
-    "stereo/matching/pyramid.py",
     "stereo/matching/semi_global.py",
     "stereo/matching/uncertainty.py",
     "stereo/pair/alignment.py",

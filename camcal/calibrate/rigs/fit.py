@@ -22,8 +22,7 @@ from camcal.calibrate.rigs.effects import (
 )
 from camcal.calibrate.rigs.epipolar import between_captures, left_out_errors
 from camcal.calibrate.rigs.estimator import RigEstimate, estimate_rig
-from camcal.calibrate.rigs.links import CameraPoses, Placed, motions
-from camcal.calibrate.rigs.orientation import best_turns_of_captures, composed, turned
+from camcal.calibrate.rigs.links import CameraPoses, Placed, best_turns_of_captures, composed, motions, turned
 from camcal.calibrate.rigs.problem import LensPrior, RigProblem, RigState
 from camcal.calibrate.shape import hold_to_print
 from camcal.cameras.model import Camera, CameraModel
