@@ -8,7 +8,7 @@ import pytest
 
 from camcal import files
 from camcal.options import OUTPUT, Argument, Option, OptionsRecord, Written
-from camcal.run.finished import Finished
+from camcal.run.journal import Finished
 from camcal.run.outputs import writes
 from camcal.tasks.options import output_option
 

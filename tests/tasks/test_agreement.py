@@ -9,7 +9,7 @@ from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.formats.camera_file import CalibrationVerdict, CameraEntry, CameraFile, Transform
 from camcal.geometry.pose import Pose
-from camcal.tasks.reports.agreement import differences
+from camcal.tasks.reports.rerun import differences
 
 STD = np.array([1.0, 1.0, 0.5, 0.5])
 LEFT = CameraEntry(
