@@ -84,16 +84,12 @@ def read(path: Path, image_size: Size | Mapping[str, Size]) -> PointViews:
 def _table(path: Path) -> Table:
     suffix = files.suffix_of(path)
     if suffix in (*JSON, *YAML):
-        return _of_document(load_either(path, _check, _MAX_VALUES))
+        return _of_document(load_either(path, mapping({"points": _check_points}), _MAX_VALUES))
     return Table.from_csv(str(path), numbered_lines(path), COLUMNS, OPTIONAL)
 
 
-def _check(data: Any, path: str) -> Iterator[Fault]:
-    """Check that YAML or JSON holds a list of points which all have the same keys."""
-    yield from mapping({"points": _check_points})(data, path)
-
-
 def _check_points(points: Any, path: str) -> Iterator[Fault]:
+    """Check that YAML or JSON holds a list of points which all have the same keys."""
     if not isinstance(points, list):
         yield Fault(path, "expected a list of mappings with X, Y, Z, u, v")
         return

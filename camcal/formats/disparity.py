@@ -27,6 +27,7 @@ from camcal.messages import Message
 
 KITTI_SCALE = 256.0  # 16-bit disparity is in 1/256 px by the convention of the KITTI benchmark
 OPENCV_SCALE = 16.0  # signed 16-bit disparity is what OpenCV's matchers give
+_USUAL_SCALES = {"uint16": KITTI_SCALE, "int16": OPENCV_SCALE}  # of maps without a sidecar
 SUFFIXES = (".pfm", ".tiff", ".tif", ".png", ".npy", ".npz", ".exr")
 
 _ARRAY = "disparity"
@@ -92,7 +93,7 @@ def read(path: str | Path, scale: float | None = None, invalid: str | None = Non
     values = _gray(_read_values(path), path)
     sidecar = disparity_sidecar.read(path)
     if scale is None:
-        scale = sidecar.scale if sidecar else _usual_scale(values.dtype)
+        scale = sidecar.scale if sidecar else _USUAL_SCALES.get(values.dtype.name, 1.0)
     if invalid is None:
         invalid = sidecar.invalid if sidecar else ZERO
     if invalid not in INVALID_CODES:
@@ -176,10 +177,6 @@ def _positive(scale: float) -> float:
     if not (np.isfinite(scale) and scale > 0):
         raise InvalidInput(f"the scale of a disparity map must be positive, found {scale:g}")
     return scale
-
-
-def _usual_scale(dtype: np.dtype[np.generic]) -> float:
-    return {"uint16": KITTI_SCALE, "int16": OPENCV_SCALE}.get(dtype.name, 1.0)
 
 
 def _gray(values: Array, path: Path) -> Array:

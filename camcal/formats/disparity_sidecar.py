@@ -126,6 +126,7 @@ def _document(sidecar: Sidecar, folder: Path) -> dict[str, Any]:
         part: {"path": _relative(source.path, folder), "sha256": source.sha256}
         for part, source in sidecar.inputs.items()
     }
+    error = sidecar.calibration
     data = {
         "schema": SCHEMA,
         "scale": sidecar.scale,
@@ -139,7 +140,7 @@ def _document(sidecar: Sidecar, folder: Path) -> dict[str, Any]:
         "inputs": inputs or None,
         "camera_R_rectified": None if turn is None else turn.tolist(),
         "relative_sigma": dict(sidecar.relative_sigma) if sidecar.relative_sigma else None,
-        "calibration": _calibration(sidecar.calibration) if sidecar.calibration else None,
+        "calibration": error and {name: getattr(error, name).tolist() for name in ("columns", "rows", "variance")},
     }
     return {name: rounded(value) for name, value in data.items() if value is not None}
 
@@ -148,10 +149,6 @@ def geometry_document(geometry: StereoGeometry) -> dict[str, Any]:
     """Return a geometry as plain data; of a pinhole pair beside each other without projection and axis."""
     usual = {"projection": PINHOLE, "axis": BESIDE}
     return {name: value for name, value in asdict(geometry).items() if value != usual.get(name)}
-
-
-def _calibration(error: CalibrationError) -> dict[str, Any]:
-    return {name: getattr(error, name).tolist() for name in ("columns", "rows", "variance")}
 
 
 def _relative(path: Path | None, folder: Path) -> str | None:

@@ -1,12 +1,14 @@
-"""Calibrations that come with public stereo pairs: Middlebury's and ETH3D's calib.txt, KITTI's calib.txt.
+"""Calibrations of rectified pairs in files of others: those of public stereo pairs, read, and one of camcal's, written.
 
+Read are Middlebury's and ETH3D's calib.txt and KITTI's calib.txt, written R1 R2 P1 P2 Q for OpenCV and the camera_info
+of both cameras for ROS.
 Middlebury (2014 and later, ETH3D's two views): cam0=[fx 0 cx; 0 fy cy; 0 0 1], cam1, doffs in pixels, baseline in mm.
 KITTI: P0: to P3: (or P_rect_00: …), 3 × 4 projections of the two gray and the two colour cameras, metres.
 """
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -15,8 +17,13 @@ import numpy as np
 from camcal import files
 from camcal.arrays import Array
 from camcal.errors import FileError, InvalidInput, Located
+from camcal.formats import cameras
+from camcal.formats.camera_file import CameraFile, Transform
+from camcal.formats.cameras import file_storage, ros
+from camcal.geometry.pose import Pose
 from camcal.parsing import parse_numbers
 from camcal.stereo.geometry import StereoGeometry
+from camcal.stereo.rectify.record import OpenCVRectification, Rectification
 
 SUFFIX = ".txt"
 
@@ -173,3 +180,43 @@ def _parsed(text: str, name: str, count: int, where: str) -> list[float]:
     if len(numbers) != count or not np.isfinite(numbers).all():
         raise InvalidInput(f"{name} needs {count} number{'s' * (count > 1)}, found {text!r}", where=where)
     return numbers
+
+
+def require_pinhole(rectification: Rectification, option: str) -> OpenCVRectification:
+    """Return R1 R2 P1 P2 Q; raises InvalidInput, naming the option that asks for them, unless it is a pinhole pair."""
+    found = rectification.opencv()
+    if found is None:
+        raise InvalidInput(
+            f"{option} is for pinhole images, these are {rectification.projection}: give --projection pinhole, or use "
+            "--maps"
+        )
+    return found
+
+
+def write_opencv(path: Path, rectification: Rectification) -> None:
+    """Write R1 R2 P1 P2 Q and the size of the rectified images, as cv2.FileStorage reads them; metres.
+
+    Raises InvalidInput as `require_pinhole` does, FileError.
+    """
+    found = require_pinhole(rectification, "--opencv")
+    width, height = rectification.size
+    items: dict[str, file_storage.Item] = {"image_width": width, "image_height": height}
+    items |= {name: np.array(getattr(found, name)) for name in ("R1", "R2", "P1", "P2", "Q")}
+    usage = "use cv2.initUndistortRectifyMap(K, D, R1, P1, size, cv2.CV_32FC1), of a fisheye cv2.fisheye's"
+    files.write_text(path, file_storage.text_of(items, path.suffix, usage))
+
+
+def as_ros(file: CameraFile, rectification: Rectification, right_T_left: Pose) -> CameraFile:
+    """Return both cameras with the R and P of their rectified images, which `ros.write` keeps.
+
+    Raises InvalidInput as `require_pinhole` does, and for a lens that ROS does not have.
+    """
+    found = require_pinhole(rectification, "--ros")
+    names = rectification.left, rectification.right
+    matrices = {names[0]: (found.R1, found.P1), names[1]: (found.R2, found.P2)}
+    entries = {}
+    for name, (rotation, projection) in matrices.items():
+        block = {"rectification": rotation.ravel().tolist(), "projection": projection.ravel().tolist()}
+        entries[name] = replace(file.cameras[name], extra={ros.VENDOR_KEY: block})
+    pair = CameraFile(entries, {f"{names[1]}_T_{names[0]}": Transform(right_T_left)})
+    return cameras.prepared(pair, ros.FORMAT, "--ros").file

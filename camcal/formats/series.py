@@ -13,8 +13,7 @@ from camcal.arrays import Array
 from camcal.errors import InvalidInput
 from camcal.estimate.smoothing.series import Series, SmoothedSeries
 from camcal.formats import emit
-from camcal.formats.tables import Table, read_measurements
-from camcal.formats.trajectories.rows import require_increasing
+from camcal.formats.tables import Table, read_measurements, require_increasing
 from camcal.parsing import did_you_mean
 
 SUFFIXES = (".csv", ".json")

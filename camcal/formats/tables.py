@@ -1,4 +1,7 @@
-"""Text tables with named columns, read a column at a time; errors name file and line."""
+"""Text tables with named columns, read a column at a time, and rows of bare numbers; errors name file and line.
+
+The numbers of poses, which all text formats of trajectories have, become a trajectory here.
+"""
 
 import csv
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -10,12 +13,18 @@ import numpy as np
 
 from camcal import files
 from camcal.arrays import Array
-from camcal.errors import FileError, InvalidInput
-from camcal.parsing import did_you_mean, is_number, parse_integer, parse_number
+from camcal.errors import FileError, InvalidInput, Located
+from camcal.geometry import rotation as so3
+from camcal.geometry.pose import Trajectory, frames_of
+from camcal.parsing import LARGEST, did_you_mean, is_number, parse_integer, parse_number, parse_numbers
 
 MAX_LINES = 3_000_000  # of a table
 LONGEST_QUOTE = 60  # characters of a cell that a message repeats
 COVARIANCE = ("suu", "suv", "svv")  # of u and v
+
+DEFAULT_FRAMES = "world_T_camera"
+
+_ROUNDED = 1e-3  # how far a quaternion's length may be from 1: files have few digits
 
 _MARGIN = 0.1  # a pixel farther outside than this share of the image's side is a mistake, not a measurement
 
@@ -32,19 +41,14 @@ def numbered_lines(path: Path) -> list[tuple[int, str]]:
 
     Raises FileError if the file cannot be read or has more than MAX_LINES.
     """
-    return numbered(files.read_text(path), str(path))
-
-
-def numbered(text: str, where: str) -> list[tuple[int, str]]:
-    """Return the lines of a text that are not blank, with their numbers from 1; where: what messages call it.
-
-    Raises FileError for more than MAX_LINES.
-    """
-    return list(iterate_lines(text, where))
+    return list(iterate_lines(files.read_text(path), str(path)))
 
 
 def iterate_lines(text: str, where: str) -> Iterator[tuple[int, str]]:
-    """Yield what `numbered` returns, a line at a time: a line in a list takes three times the memory of its text."""
+    """Yield the lines of a text that are not blank, with their numbers from 1; where: what messages call it.
+
+    One at a time: a line in a list takes three times the memory of its text. Raises FileError for more than MAX_LINES.
+    """
     count = text.count("\n")
     if count > MAX_LINES:
         raise FileError(f"{count} lines are more than the limit of {MAX_LINES}", where=where)
@@ -241,3 +245,83 @@ def _check_columns(where: str, names: list[str]) -> None:
         raise InvalidInput(f"column {names.index('') + 1} has no name", where=where)
     if len(set(names)) < len(names):
         raise InvalidInput(f"column {max(names, key=names.count)!r} occurs twice", where=where)
+
+
+def number_rows(path: str, lines: Lines, counts: Sequence[int], delimiter: str | None = None) -> Array:
+    """Return the numbers (N, C) of lines, C one of `counts`; delimiter: None for blanks."""
+    try:
+        table = np.loadtxt([line for _, line in lines], delimiter=delimiter, ndmin=2, comments=None)
+    except ValueError:
+        table = np.empty((0, 0))
+    if len(table) != len(lines) or table.shape[1] not in counts:
+        expected = len(lines[0][1].split(delimiter)) if lines else 0
+        counts = [expected] if expected in counts else counts
+        rows = [_numbers_of(f"{path}:{number}", line.split(delimiter), counts) for number, line in lines]
+        for (number, _), row in zip(lines, rows, strict=True):
+            if len(row) != len(rows[0]):
+                message = f"{len(row)} numbers, other lines have {len(rows[0])}"
+                raise InvalidInput(message, where=f"{path}:{number}")
+        table = np.array(rows)
+    bad = ~np.isfinite(table).all(axis=1)
+    if bad.any():
+        raise InvalidInput("a number is not finite", where=f"{path}:{lines[int(np.argmax(bad))][0]}")
+    return table
+
+
+def trajectory_of(
+    path: str, lines: Sequence[int | str], frames: str | None, stamps: Array, positions: Array, quaternions: Array
+) -> Trajectory:
+    """Return the trajectory of stamps (N,), positions (N, 3) and quaternions w x y z (N, 4), checked.
+
+    lines: where each pose stands in the file. Raises InvalidInput for stamps that do not increase and for quaternions
+    that have not length 1; those that nearly have are normalised.
+    """
+    require_plausible(path, lines, np.column_stack([stamps, positions, quaternions]))
+    require_increasing(path, lines, stamps)
+    lengths = np.linalg.norm(quaternions, axis=1)
+    bad = np.abs(lengths - 1) > _ROUNDED
+    if bad.any():
+        row = int(np.argmax(bad))
+        raise InvalidInput(
+            f"the quaternion has length {lengths[row]:.6g}, not 1: check its order", where=f"{path}:{lines[row]}"
+        )
+    return Trajectory(require_frames(frames, path), stamps, so3.from_quaternion(quaternions), positions)
+
+
+def require_frames(frames: str | None, where: str) -> str:
+    """Return the name of the poses; raises InvalidInput unless it has the form a_T_b. None: world_T_camera."""
+    name = frames or DEFAULT_FRAMES
+    with Located(where):
+        frames_of(name)
+    return name
+
+
+def require_plausible(path: str, lines: Sequence[int | str], rows: Array) -> None:
+    """Raise InvalidInput about the first row of numbers (N, C) that has one beyond all limits."""
+    farthest = np.abs(rows).max(axis=1, initial=0.0)
+    if (farthest > LARGEST).any():
+        row = int(np.argmax(farthest > LARGEST))
+        raise InvalidInput(f"{farthest[row]:g} is outside [-{LARGEST:g}, {LARGEST:g}]", where=f"{path}:{lines[row]}")
+
+
+def require_increasing(path: str, lines: Sequence[int | str], stamps: Array) -> None:
+    """Raise InvalidInput about the first stamp (N,) that is not later than the one before."""
+    late = np.flatnonzero(~(np.diff(stamps) > 0))
+    if len(late):
+        row = int(late[0]) + 1
+        raise InvalidInput(
+            f"time {stamps[row]:.9f} s is not later than the one before, {stamps[row - 1]:.9f} s; sort the file",
+            where=f"{path}:{lines[row]}",
+        )
+
+
+def _numbers_of(where: str, cells: Sequence[str], counts: Sequence[int]) -> list[float]:
+    if len(cells) not in counts:
+        wanted = " or ".join(map(str, counts))
+        raise InvalidInput(f"{len(cells)} numbers; {wanted} are needed", where=where)
+    for cell in cells:
+        try:
+            parse_number(cell)
+        except ValueError as error:
+            raise InvalidInput(f"{cell.strip()[:LONGEST_QUOTE]!r} is not a number", where=where) from error
+    return parse_numbers(cells)

@@ -90,7 +90,7 @@ class ImageCircleSearch:
 
     def result(self) -> MeasuredCircle | None:
         """Return the image circle; None if the images so far, or no images, show none."""
-        circle = None if self._brightest is None else _found(self._brightest.astype(float))
+        circle = None if self._brightest is None else _find_circle(self._brightest.astype(float))
         if circle is None:
             return None
         scale = _scale(self._shape)
@@ -114,7 +114,7 @@ def _scale(shape: tuple[int, ...]) -> float:
     return min(1.0, max(_WIDTH / shape[1], 1 / shape[0]))
 
 
-def _found(brightest: Array) -> MeasuredCircle | None:
+def _find_circle(brightest: Array) -> MeasuredCircle | None:
     """Return the image circle of an image (h, w) in its own pixels: of those accepted the best supported one."""
     low, high = np.percentile(brightest, _RANGE)
     if high - low < _LEAST_RANGE or low > _DARK * high:
@@ -137,8 +137,8 @@ def _at_threshold(brightest: Array, threshold: float) -> MeasuredCircle | None:
     """Return the circle that fits the outline of the bright region of an image (h, w) best, whatever it is."""
     points = _outline(brightest, threshold)
     start = _best_of_triplets(points, brightest.shape)
-    circle = None if start is None else _fitted(points, start, brightest.shape)
-    return None if circle is None else _described(circle, points, brightest, threshold)
+    circle = None if start is None else _fit_circle(points, start, brightest.shape)
+    return None if circle is None else _describe(circle, points, brightest, threshold)
 
 
 def _outline(brightest: Array, threshold: float) -> Array:
@@ -211,7 +211,7 @@ def _deviations(points: Array, circles: Array) -> Array:
     return np.asarray(np.hypot(apart[..., 0], apart[..., 1]) / circles[:, 2:] - 1)
 
 
-def _fitted(points: Array, circle: Array, shape: tuple[int, ...]) -> Array | None:
+def _fit_circle(points: Array, circle: Array, shape: tuple[int, ...]) -> Array | None:
     """Return the circle (3,) of least squared distances from the points (N, 2) near it; None if none is left.
 
     Each step of Gauss and Newton (Gander, Golub & Strebel 1994, section 3) takes the points near the circle of the
@@ -231,7 +231,7 @@ def _fitted(points: Array, circle: Array, shape: tuple[int, ...]) -> Array | Non
     return circle
 
 
-def _described(circle: Array, points: Array, brightest: Array, threshold: float) -> MeasuredCircle:
+def _describe(circle: Array, points: Array, brightest: Array, threshold: float) -> MeasuredCircle:
     """Return a circle (3,) with the measures that tell an image circle, of an outline (N, 2) in an image (h, w)."""
     deviations = _deviations(points, circle[None])[0]
     fitted = deviations[np.abs(deviations) < _TOLERANCE]

@@ -1,14 +1,17 @@
 """Options of undistorted views."""
 
+import math
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, NoReturn
 
 from camcal.errors import InvalidInput
+from camcal.images.limits import require_view
 from camcal.options import SIZE, Option, OptionsRecord
 
 PINHOLE = "pinhole"
 JPEG_QUALITY = 95  # what OpenCV writes when nothing is said
 VIEW = "View"  # title of these options
+WIDEST_PINHOLE_DEG = 179.0
 
 
 @dataclass(frozen=True)
@@ -58,8 +61,6 @@ class ViewOptions(OptionsRecord):
     ] = False
 
     def __post_init__(self) -> None:
-        from camcal.images.views import require_possible
-
         super().__post_init__()
         given = {"--alpha": self.alpha is not None, "--keep-k": self.keep_k, "--fov": self.fov_deg is not None}
         chosen = [name for name, wanted in given.items() if wanted]
@@ -67,4 +68,38 @@ class ViewOptions(OptionsRecord):
             raise InvalidInput(f"{' and '.join(chosen)} exclude each other")
         if self.projection != PINHOLE and (self.alpha is not None or self.keep_k or self.stretch):
             raise InvalidInput(f"--alpha, --keep-k and --stretch are for a pinhole; a {self.projection} takes --fov")
-        require_possible(self.projection, self.size, self.fov_deg)
+        widest = widest_deg(self.projection)
+        if self.size is not None:
+            if min(self.size) < 2:
+                raise InvalidInput("a view has at least 2 pixels a side, asked for {}x{}".format(*self.size))
+            require_view(self.size)
+        if self.fov_deg is not None:
+            self._require_holds(self.fov_deg, widest)
+
+    def _require_holds(self, fov_deg: float, widest: float) -> None:
+        """Raise InvalidInput unless a view, whose projection holds up to `widest` degrees, can span so many."""
+        if not math.isfinite(fov_deg) or fov_deg <= 0:
+            raise InvalidInput(f"a field of view is positive, found {fov_deg:g}°")
+        if fov_deg <= widest:
+            return
+        if self.projection == PINHOLE:
+            refuse_pinhole(math.radians(fov_deg))
+        raise InvalidInput(f"a {self.projection} view holds up to {widest:g}°, asked for {fov_deg:g}°")
+
+
+def widest_deg(projection: str) -> float:
+    """Return the largest field of view across; raises InvalidInput for a projection that does not exist."""
+    from camcal.cameras.panoramic import MODELS
+
+    widest = {PINHOLE: WIDEST_PINHOLE_DEG, **{model.name: model.widest_deg for model in MODELS}}
+    if projection not in widest:
+        raise InvalidInput(f"projection {projection!r} is unknown; use one of {', '.join(widest)}")
+    return widest[projection]
+
+
+def refuse_pinhole(widest: float) -> NoReturn:
+    """Raise InvalidInput: no pinhole holds a field of view of `widest` (rad)."""
+    raise InvalidInput(
+        f"{math.degrees(widest):.0f}° exceeds the field of view of a pinhole (less than 180°): use --projection "
+        "cylinder, equirectangular or stereographic, or --fov for a part of it"
+    )

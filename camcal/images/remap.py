@@ -176,14 +176,14 @@ def _followed(maps: Maps, lens: Camera, view: Camera) -> Maps:
     trace = Trace(lens, view)
     for rows, band in exact_bands(trace) if maps.interpolation == NEAREST_TRUNCATE else bands(trace):
         main = np.stack([maps.x[rows], maps.y[rows]])
-        own = np.clip(_rounded(band, maps.interpolation), 0, largest)
+        own = np.clip(_round_band(band, maps.interpolation), 0, largest)
         x[rows], y[rows] = np.where(np.isfinite(own).all(axis=0) & (main[0] != _OUTSIDE), own, main)
     x.setflags(write=False)
     y.setflags(write=False)
     return replace(maps, x=x, y=y)
 
 
-def _rounded(band: Array, interpolation: str) -> Array:
+def _round_band(band: Array, interpolation: str) -> Array:
     """Return positions rounded in place where the interpolation asks for it."""
     if interpolation == "nearest":
         return np.rint(band, out=band)
@@ -192,7 +192,7 @@ def _rounded(band: Array, interpolation: str) -> Array:
 
 def _settled(band: Array, source_size: tuple[int, int], interpolation: str) -> Array:
     """Return positions (2, rows, W) rounded where asked for, on the border if a hair outside, else far outside."""
-    band = _rounded(band, interpolation)
+    band = _round_band(band, interpolation)
     largest = np.array(source_size, band.dtype)[:, None, None] - 1
     if (band >= 0).all() and (band <= largest).all():
         return band

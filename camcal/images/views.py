@@ -3,8 +3,6 @@
 What is shown is a box (left, top, right, bottom) inside or around the region of the plane that the lens sees.
 """
 
-from math import isfinite
-
 import numpy as np
 
 from camcal.arrays import Array
@@ -13,17 +11,14 @@ from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera, CameraModel
 from camcal.cameras.validity import ImageCircle, rim
 from camcal.errors import InvalidInput
-from camcal.images.limits import require_view
-from camcal.images.options import PINHOLE, ViewOptions
+from camcal.images.options import PINHOLE, WIDEST_PINHOLE_DEG, ViewOptions, refuse_pinhole, widest_deg
 from camcal.images.remap import Trace
 
 PANORAMAS = {model.name: model for model in panoramic.MODELS}
-PROJECTIONS = (PINHOLE, *PANORAMAS)
 
 _PER_EDGE = 256  # samples of each edge of the image: between two of them it bends by less than 0.01 px
 _DENSEST = 16  # times that
-_WIDEST_PINHOLE_DEG = 179.0
-_WIDEST_PINHOLE = np.radians(_WIDEST_PINHOLE_DEG)
+_WIDEST_PINHOLE = np.radians(WIDEST_PINHOLE_DEG)
 _SHRINKS = (0.0, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 0.05, 0.1, 0.2)
 _CHECKED = 64  # pixels a side that are asked whether a crop holds
 
@@ -36,10 +31,13 @@ def make_view(camera: Camera, options: ViewOptions | None = None, circle: ImageC
     options = options or ViewOptions()
     size = options.size or camera.image_size
     if options.keep_k:
-        return _kept(camera, size)
+        model = model_named(PINHOLE)
+        parameters = np.array([camera.value(name) for name in model.parameter_names])
+        scale = size[0] / camera.image_size[0], size[1] / camera.image_size[1]
+        return Camera(model, size, model.rescale(parameters, scale, (0.0, 0.0)))
     if options.projection == PINHOLE and options.fov_deg is None:
-        return _cropped(camera, circle, options.alpha or 0.0, size, stretch=options.stretch)
-    return _spanning(camera, circle, options.projection, options.fov_deg, size)
+        return _crop(camera, circle, options.alpha or 0.0, size, stretch=options.stretch)
+    return _span_field(camera, circle, options.projection, options.fov_deg, size)
 
 
 def seen_across(camera: Camera, circle: ImageCircle | None = None) -> float:
@@ -52,18 +50,11 @@ def seen_across(camera: Camera, circle: ImageCircle | None = None) -> float:
     return float(2 * np.nanmax(angles))
 
 
-def _kept(camera: Camera, size: tuple[int, int]) -> Camera:
-    model = model_named(PINHOLE)
-    parameters = np.array([camera.value(name) for name in model.parameter_names])
-    scale = size[0] / camera.image_size[0], size[1] / camera.image_size[1]
-    return Camera(model, size, model.rescale(parameters, scale, (0.0, 0.0)))
-
-
-def _spanning(
+def _span_field(
     camera: Camera, circle: ImageCircle | None, projection: str, fov_deg: float | None, size: tuple[int, int]
 ) -> Camera:
     """Return the view that spans the field of view from edge to edge, or what the lens sees across."""
-    seen_deg = min(_widest_deg(projection), np.degrees(seen_across(camera, circle))) if fov_deg is None else fov_deg
+    seen_deg = min(widest_deg(projection), np.degrees(seen_across(camera, circle))) if fov_deg is None else fov_deg
     fov = np.radians(seen_deg)
     if projection == PINHOLE:
         return _of_half_width(model_named(PINHOLE), size, np.tan(fov / 2))
@@ -74,13 +65,7 @@ def _of_half_width(model: CameraModel, size: tuple[int, int], half_width: float)
     return Camera(model, size, model.start(size, size[0] / 2 / half_width))
 
 
-def _widest_deg(projection: str) -> float:
-    return _WIDEST_PINHOLE_DEG if projection == PINHOLE else PANORAMAS[projection].widest_deg
-
-
-def _cropped(
-    camera: Camera, circle: ImageCircle | None, alpha: float, size: tuple[int, int], *, stretch: bool
-) -> Camera:
+def _crop(camera: Camera, circle: ImageCircle | None, alpha: float, size: tuple[int, int], *, stretch: bool) -> Camera:
     """Return the pinhole between the largest crop without an empty pixel and the smallest frame around all pixels."""
     if min(size) < 2:
         raise _no_crop(size)
@@ -93,14 +78,14 @@ def _cropped(
     widest = 2 * float(_angles(rays).max())
     in_front = _angles(rays) < _WIDEST_PINHOLE / 2
     if not in_front.any() or (alpha > 0 and not in_front.all()):
-        _refuse_pinhole(widest)
+        refuse_pinhole(widest)
     outline = rays[in_front, :2] / rays[in_front, 2:]
     inner = largest_box(outline, None if stretch else shape)
     if not _angles(np.append(inner[2:], 1.0)[None])[0] < _WIDEST_PINHOLE / 2:
-        _refuse_pinhole(widest)
+        refuse_pinhole(widest)
     inner = _without_empty_pixels(camera, circle, inner, size)
     outer = enclosing_box(outline, None if stretch else shape)
-    return _filled((1 - alpha) * inner + alpha * outer, size)
+    return _fill((1 - alpha) * inner + alpha * outer, size)
 
 
 def _without_empty_pixels(camera: Camera, circle: ImageCircle | None, box: Array, size: tuple[int, int]) -> Array:
@@ -108,7 +93,7 @@ def _without_empty_pixels(camera: Camera, circle: ImageCircle | None, box: Array
     middle = (box[:2] + box[2:]) / 2
     for shrink in _SHRINKS:
         smaller = np.tile(middle, 2) + (1 - shrink) * (box - np.tile(middle, 2))
-        if _is_full(Trace(camera, _filled(smaller, size), circle=circle)):
+        if _is_full(Trace(camera, _fill(smaller, size), circle=circle)):
             return smaller
     raise _no_crop(size)
 
@@ -128,7 +113,7 @@ def _is_full(trace: Trace) -> bool:
     return all(bool(((where >= 0) & (where <= last)).all()) for where in positions)
 
 
-def _filled(box: Array, size: tuple[int, int]) -> Camera:
+def _fill(box: Array, size: tuple[int, int]) -> Camera:
     """Return the pinhole whose outermost pixel centres are the edges of a box (left, top, right, bottom) at Z = 1."""
     if not (box[2:] - box[:2] > _NARROWEST).all():
         raise _no_crop(size)
@@ -145,32 +130,6 @@ def _outline(camera: Camera, circle: ImageCircle | None, per_edge: int = _PER_ED
 def _angles(rays: Array) -> Array:
     """Return the angles (N,) in rad of rays (N, 3) from the optical axis."""
     return np.asarray(np.arctan2(np.hypot(rays[:, 0], rays[:, 1]), rays[:, 2]))
-
-
-def require_possible(projection: str, size: tuple[int, int] | None, fov_deg: float | None) -> None:
-    """Raise InvalidInput for a projection that does not exist, and what no view of it can have; None is open."""
-    if projection not in PROJECTIONS:
-        raise InvalidInput(f"projection {projection!r} is unknown; use one of {', '.join(PROJECTIONS)}")
-    if size is not None:
-        if min(size) < 2:
-            raise InvalidInput("a view has at least 2 pixels a side, asked for {}x{}".format(*size))
-        require_view(size)
-    if fov_deg is None:
-        return
-    if not isfinite(fov_deg) or fov_deg <= 0:
-        raise InvalidInput(f"a field of view is positive, found {fov_deg:g}°")
-    if fov_deg <= _widest_deg(projection):
-        return
-    if projection == PINHOLE:
-        _refuse_pinhole(np.radians(fov_deg))
-    raise InvalidInput(f"a {projection} view holds up to {_widest_deg(projection):g}°, asked for {fov_deg:g}°")
-
-
-def _refuse_pinhole(widest: float) -> None:
-    raise InvalidInput(
-        f"{np.degrees(widest):.0f}° exceeds the field of view of a pinhole (less than 180°): use --projection "
-        "cylinder, equirectangular or stereographic, or --fov for a part of it"
-    )
 
 
 _NARROWEST = 1e-12  # of a box at Z = 1: a lens of the longest focal length in pixels shows a hundred times as much

@@ -3,7 +3,6 @@
 The gains that make gray things gray are found on the mosaic, before any colour is made.
 """
 
-import re
 from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any
@@ -13,20 +12,18 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.raw.mosaic import by_place, cell_side, full_scale, sites
-from camcal.raw.options import CAMERA, DEPTHS, GRAY_WORLD, LINEAR, NO_BALANCE, PATCH, Balance, Gains
+from camcal.raw.options import CAMERA, DEPTHS, GRAY_WORLD, LINEAR, NO_BALANCE, PATCH, SRGB, Balance, Gains, gamma_of
 from camcal.raw.planes import rounded
 
-TONES = (LINEAR, "srgb", "bt709")
 DTYPES: Mapping[str, np.dtype[Any]] = MappingProxyType(
     dict(zip(DEPTHS, map(np.dtype, (np.uint8, np.uint16, np.float32)), strict=True))
 )
 
 _CEILING = 0.9  # of saturation: a clipped sample says nothing about the colour of the light
 _ENOUGH = 1 << 20  # samples that a mean is taken from
-_POWER = re.compile(r"power:([0-9]+(?:\.[0-9]*)?|\.[0-9]+)$")
 
 
-def found_gains(balance: Balance, light: Array, pattern: str, camera_gains: Array | None) -> Gains | None:
+def find_gains(balance: Balance, light: Array, pattern: str, camera_gains: Array | None) -> Gains | None:
     """Return the gains of red, green and blue for linear light (H, W), 1 at saturation; None for no balance.
 
     Raises InvalidInput if the camera's are asked for and unknown, or the patch is not within the frame;
@@ -37,11 +34,11 @@ def found_gains(balance: Balance, light: Array, pattern: str, camera_gains: Arra
     if balance.text == CAMERA:
         if camera_gains is None:
             raise InvalidInput("has no camera white balance; use gray-world, a patch, or R,G,B")
-        return _normalised(balance, camera_gains)
+        return _normalise(balance, camera_gains)
     if balance.text == GRAY_WORLD:
-        return _normalised(balance, 1 / mean_light(light, pattern))
+        return _normalise(balance, 1 / mean_light(light, pattern))
     if balance.text.startswith(PATCH):
-        return _normalised(balance, 1 / mean_light(*_inside_patch(balance, light, pattern)))
+        return _normalise(balance, 1 / mean_light(*_inside_patch(balance, light, pattern)))
     return balance.gains()
 
 
@@ -57,7 +54,7 @@ def _inside_patch(balance: Balance, light: Array, pattern: str) -> tuple[Array, 
     return inside, pattern
 
 
-def _normalised(balance: Balance, gains: Array) -> Gains:
+def _normalise(balance: Balance, gains: Array) -> Gains:
     red, green, blue = (float(gain) for gain in gains / (gains[1] if balance.normalise == "green" else gains.min()))
     return red, green, blue
 
@@ -86,13 +83,6 @@ def balance_in_place(light: Array, pattern: str, gains: Gains) -> None:
             light[site] *= np.float32(gain)
 
 
-def require_tone(tone: str) -> str:
-    """Return the tone; raises InvalidInput unless it is one of TONES or power:GAMMA."""
-    if tone not in TONES:
-        _gamma(tone)
-    return tone
-
-
 def encode(light: Array, tone: str) -> Array:
     """Return the light, clipped to 0 … 1, behind a tone curve; linear light stays as it is.
 
@@ -101,11 +91,11 @@ def encode(light: Array, tone: str) -> Array:
     if tone == LINEAR:
         return light
     light = np.clip(light, 0, 1)
-    if tone == "srgb":
+    if tone == SRGB:
         return np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** np.float32(1 / 2.4) - 0.055)
     if tone == "bt709":
         return np.where(light < 0.018, 4.5 * light, 1.099 * light ** np.float32(0.45) - 0.099)
-    return np.asarray(light ** np.float32(1 / _gamma(tone)))
+    return np.asarray(light ** np.float32(1 / gamma_of(tone)))
 
 
 def quantise(values: Array, depth: np.dtype[Any]) -> Array:
@@ -113,10 +103,3 @@ def quantise(values: Array, depth: np.dtype[Any]) -> Array:
     if np.issubdtype(depth, np.floating):
         return values
     return rounded(values, full_scale(depth), depth)
-
-
-def _gamma(tone: str) -> float:
-    match = _POWER.match(tone)
-    if match is None or not float(match[1]) > 0:
-        raise InvalidInput(f"tone {tone!r} is unknown; use {', '.join(TONES)} or power:GAMMA")
-    return float(match[1])

@@ -20,16 +20,11 @@ from camcal.errors import InvalidInput
 from camcal.raw.dng import dng_bytes
 from camcal.raw.linear_filters import bilinear, edge_aware, green, half, malvar
 from camcal.raw.mosaic import Mosaic, cell_side, full_scale, is_x_trans
-from camcal.raw.options import AUTO, MONO
+from camcal.raw.names import AUTO, GRAY, GREEN, HALF, LIBRAW, MONO, NONE, RI
 from camcal.raw.planes import Each, one_by_one, rounded
 from camcal.raw.residual import residual_interpolation
 from camcal.raw.vng import vng
 
-RI = "ri"
-LIBRAW = "libraw:"
-NONE = "none"
-HALF = "half"
-GRAY = "gray"
 X_TRANS_NAME = "AHD"  # under this name LibRaw runs Markesteijn's filter on X-Trans
 
 _SATURATION = 65535
@@ -178,7 +173,7 @@ ALGORITHMS: Mapping[str, Algorithm] = MappingProxyType(
             "variable number of gradients", lambda job: vng(job.values, job.pattern, job.white, each=job.each)
         ),
         HALF: Algorithm("one pixel per cell, half the size: not for calibration", _capped(half)),
-        "green": Algorithm("one channel: green, its gaps filled; for calibration, whatever the lens", _capped(green)),
+        GREEN: Algorithm("one channel: green, its gaps filled; for calibration, whatever the lens", _capped(green)),
         GRAY: Algorithm(
             "one channel: the balanced mosaic; for calibration, if the lens has no lateral colour",
             lambda job: job.values,

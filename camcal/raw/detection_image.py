@@ -21,17 +21,8 @@ from camcal.raw.demosaic import demosaic
 from camcal.raw.develop import linearise
 from camcal.raw.frame_facts import check_phase
 from camcal.raw.mosaic import Mosaic, by_place, sites
-from camcal.raw.options import (
-    AS_IMAGES,
-    GRAY,
-    GREEN,
-    HEADERLESS_SUFFIXES,
-    MONO,
-    NO_LAYOUT,
-    PATTERNS,
-    Gains,
-    ImageReadOptions,
-)
+from camcal.raw.names import GRAY, GREEN, MONO, PATTERNS
+from camcal.raw.options import AS_IMAGES, HEADERLESS_SUFFIXES, NO_LAYOUT, Gains, ImageReadOptions
 from camcal.raw.reading import read_mosaic
 from camcal.targets.detection import MaskedImage
 

@@ -15,22 +15,12 @@ from camcal.arrays import Array, BoolArray, Float32Array, PixelArray
 from camcal.errors import FileError, InvalidInput
 from camcal.files import read_bytes
 from camcal.parsing import parse_numbers
-from camcal.raw import bad_pixels
-from camcal.raw.colour import DTYPES, balance_in_place, encode, found_gains, quantise
-from camcal.raw.demosaic import GRAY, NONE, demosaic
+from camcal.raw import calibration_frames
+from camcal.raw.colour import DTYPES, balance_in_place, encode, find_gains, quantise
+from camcal.raw.demosaic import demosaic
 from camcal.raw.mosaic import Mosaic, full_scale, phases
-from camcal.raw.options import (
-    AUTO,
-    GRAY_WORLD,
-    LINEAR,
-    MONO,
-    NO_BALANCE,
-    NO_MATRIX,
-    SRGB,
-    Balance,
-    Development,
-    Gains,
-)
+from camcal.raw.names import AUTO, GRAY, MONO, NONE
+from camcal.raw.options import GRAY_WORLD, LINEAR, NO_BALANCE, NO_MATRIX, SRGB, Balance, Development, Gains
 from camcal.raw.planes import Each, one_by_one
 
 
@@ -96,7 +86,7 @@ def develop(
         pixels, gains = _from_light(frame, development, corrections, each)
         linear = development.encoding != "gamma"
     depth = DTYPES[development.depth] if development.depth else frame.values.dtype
-    return Picture(_finished(pixels, development.tone, depth), gains, linear, clipped_shares(frame))
+    return Picture(_finish(pixels, development.tone, depth), gains, linear, clipped_shares(frame))
 
 
 def _keeps_counts(frame: Mosaic, development: Development, corrections: Corrections) -> bool:
@@ -159,7 +149,7 @@ def balanced_light(frame: Mosaic, development: Development, corrections: Correct
     balance = development.balance
     if development.algorithm == GRAY and balance.text == NO_BALANCE:
         balance = Balance(GRAY_WORLD)
-    gains = None if frame.pattern == MONO else found_gains(balance, light, frame.pattern, frame.camera_gains)
+    gains = None if frame.pattern == MONO else find_gains(balance, light, frame.pattern, frame.camera_gains)
     if gains is not None:
         balance_in_place(light, frame.pattern, gains)
     if development.exposure:
@@ -189,10 +179,10 @@ def clipped_shares(frame: Mosaic) -> tuple[float, ...]:
 
 
 def _repaired(values: Array, frame: Mosaic, corrections: Corrections) -> Array:
-    return values if corrections.bad is None else bad_pixels.repair(values, corrections.bad, frame.pattern)
+    return values if corrections.bad is None else calibration_frames.repair(values, corrections.bad, frame.pattern)
 
 
-def _finished(pixels: Array, tone: str, depth: np.dtype[np.generic]) -> Array:
+def _finish(pixels: Array, tone: str, depth: np.dtype[np.generic]) -> Array:
     """Return the demosaiced pixels behind tone curve and depth."""
     if tone == LINEAR and pixels.dtype == depth:
         return pixels

@@ -15,7 +15,7 @@ from camcal.arrays import Array
 from camcal.errors import InvalidInput
 from camcal.files import write_bytes
 from camcal.raw.mosaic import Capture, Mosaic, cell_side
-from camcal.raw.options import MONO
+from camcal.raw.names import MONO
 
 _BYTE, _ASCII, _SHORT, _LONG, _RATIONAL, _SRATIONAL = 1, 2, 3, 4, 5, 10
 _CODES = {_BYTE: "B", _ASCII: "c", _SHORT: "H", _LONG: "I", _RATIONAL: "I", _SRATIONAL: "i"}
@@ -141,19 +141,10 @@ def _directory(entries: Sequence[_Entry], start: int) -> bytes:
     beyond = start + 2 + _ENTRY * len(entries) + 4
     packed = bytearray(struct.pack("<H", len(entries)))
     for entry in sorted(entries):
-        content = _packed(entry)
-        packed += struct.pack("<HHI", entry.tag, entry.kind, _count(entry))
+        values, per_value = entry.values, 2 if entry.kind in (_RATIONAL, _SRATIONAL) else 1
+        content = values if isinstance(values, bytes) else struct.pack(f"<{len(values)}{_CODES[entry.kind]}", *values)
+        packed += struct.pack("<HHI", entry.tag, entry.kind, len(values) // per_value)
         packed += content.ljust(4, b"\0") if len(content) <= 4 else struct.pack("<I", beyond + len(outside))
         if len(content) > 4:
             outside += content + bytes(len(content) % 2)  # values begin on even bytes
     return bytes(packed) + struct.pack("<I", 0) + bytes(outside)
-
-
-def _packed(entry: _Entry) -> bytes:
-    if isinstance(entry.values, bytes):
-        return entry.values
-    return struct.pack(f"<{len(entry.values)}{_CODES[entry.kind]}", *entry.values)
-
-
-def _count(entry: _Entry) -> int:
-    return len(entry.values) // (2 if entry.kind in (_RATIONAL, _SRATIONAL) else 1)

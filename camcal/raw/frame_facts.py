@@ -19,7 +19,7 @@ from camcal.arrays import Array, readonly
 from camcal.errors import InvalidInput
 from camcal.messages import Message
 from camcal.raw.mosaic import Mosaic, channel_names, phases
-from camcal.raw.options import PATTERNS
+from camcal.raw.names import PATTERNS
 
 BINS = 64
 _ROWS = 64
@@ -76,7 +76,8 @@ def channel_facts(frame: Mosaic) -> tuple[ChannelFacts, ...]:
 def _facts(frame: Mosaic, name: str, places: Sequence[tuple[slice, slice]]) -> ChannelFacts:
     parts = [frame.values[place] for place in places]
     samples = sum(part.size for part in parts)
-    dark = sum(np.count_nonzero(frame.values[row, column] <= _black(frame, row, column)) for row, column in places)
+    blacks = [float(frame.black[row.start, column.start]) for row, column in places]
+    dark = sum(np.count_nonzero(part <= black) for part, black in zip(parts, blacks, strict=True))
     bright = sum(np.count_nonzero(part >= frame.white) for part in parts)
     return ChannelFacts(
         name=name,
@@ -88,10 +89,6 @@ def _facts(frame: Mosaic, name: str, places: Sequence[tuple[slice, slice]]) -> C
         at_white=float(bright) / samples,
         histogram=np.sum([_histogram(part, frame.white) for part in parts], axis=0),
     )
-
-
-def _black(frame: Mosaic, row: slice, column: slice) -> float:
-    return float(frame.black[row.start, column.start])
 
 
 def _histogram(samples: Array, white: float) -> Array:
@@ -183,7 +180,9 @@ def green_diagonal(values: Array, black: Array) -> GreenDiagonal:
     alike = max(_at_most(main), _at_most(other), _at_most(row)) < _DIFFERENT**2
     large, small = (main, other) if main.mean() > other.mean() else (other, main)
     ratio = float(np.sqrt(max(large.mean() / max(_at_most(small), _NEGLIGIBLE**2), 1.0)))
-    certain = large.mean() > _DIFFERENT**2 and ratio > _DISTINCT and _significant(large - small)
+    more = large - small
+    certain = large.mean() > _DIFFERENT**2 and ratio > _DISTINCT
+    certain = certain and more.mean() > _SIGNIFICANT * _standard_error(more)
     return GreenDiagonal(main=large is other if certain else None, ratio=ratio, alike=alike)
 
 
@@ -237,10 +236,6 @@ def _products(means: Array, one: tuple[int, int], two: tuple[int, int]) -> Array
 
 def _at_most(products: Array) -> float:
     return float(max(products.mean(), 0) + 2 * _standard_error(products))
-
-
-def _significant(products: Array) -> bool:
-    return bool(products.mean() > _SIGNIFICANT * _standard_error(products))
 
 
 def _standard_error(products: Array) -> float:

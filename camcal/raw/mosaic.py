@@ -13,7 +13,7 @@ import numpy as np
 from camcal.arrays import Array, FloatArray, PixelArray, readonly
 from camcal.brief import Brief
 from camcal.errors import InvalidInput
-from camcal.raw.options import MONO, PATTERNS
+from camcal.raw.names import MONO, PATTERNS
 
 _X_TRANS_LETTERS = 36
 

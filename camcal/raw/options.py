@@ -1,5 +1,6 @@
 """Options of raw frames: patterns, layouts, white balance, development."""
 
+import re
 from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
@@ -8,28 +9,26 @@ from typing import TYPE_CHECKING, Annotated
 from camcal.errors import InvalidInput
 from camcal.options import LENS, RAW_FRAMES, SIZE, Option, OptionsRecord, Without
 from camcal.parsing import parse_integer, parse_numbers
+from camcal.raw.names import ALIGNS, AUTO, ENDIANS, GRAY, GREEN, MONO, PATTERNS
 
 if TYPE_CHECKING:
     from camcal.raw.headerless import Layout
 
-PATTERNS = ("RGGB", "GRBG", "GBRG", "BGGR")
-MONO = "MONO"
 BARE_SUFFIXES = frozenset({".png", ".tif", ".tiff", ".pgm", ".npy"})
 HEADERLESS_SUFFIXES = frozenset({".raw", ".bin"})
-ENDIANS = ("little", "big")
-ALIGNS = ("lsb", "msb")
-AUTO = "auto"
 NO_BALANCE, CAMERA, GRAY_WORLD, PATCH = "none", "camera", "gray-world", "patch:"
 NORMALISATIONS = ("min", "green")
 NO_MATRIX = "none"
 SRGB = "srgb"
 LINEAR = "linear"
+TONES = (LINEAR, SRGB, "bt709")
 DEPTHS = ("8", "16", "float")
 ENCODINGS = (LINEAR, "gamma")
 DEVELOPMENT = "Development"  # title of the options of what is done to a frame
 
-GREEN, GRAY = "green", "gray"
 ALGORITHMS = (GREEN, GRAY)  # by which raw frames become what detectors look at
+
+_POWER = re.compile(r"power:([0-9]+(?:\.[0-9]*)?|\.[0-9]+)$")
 
 Gains = tuple[float, float, float]
 
@@ -290,12 +289,12 @@ class Development(OptionsRecord):
     ] = None
 
     def __post_init__(self) -> None:
-        from camcal.raw.colour import require_tone
         from camcal.raw.demosaic import require_algorithm
 
         super().__post_init__()
         require_algorithm(self.algorithm)
-        require_tone(self.tone)
+        if self.tone not in TONES:
+            gamma_of(self.tone)
         if self.colour not in (NO_MATRIX, SRGB) and Path(self.colour).name == self.colour and "." not in self.colour:
             self._require_matrix()
 
@@ -311,3 +310,11 @@ class Development(OptionsRecord):
     def is_neutral(self) -> bool:
         """Whether light stays as it is until it is demosaiced."""
         return self.balance.text == NO_BALANCE and self.exposure == 0 and self.colour == NO_MATRIX
+
+
+def gamma_of(tone: str) -> float:
+    """Return the γ of power:γ; raises InvalidInput unless it is a positive number."""
+    match = _POWER.match(tone)
+    if match is None or not float(match[1]) > 0:
+        raise InvalidInput(f"tone {tone!r} is unknown; use {', '.join(TONES)} or power:GAMMA")
+    return float(match[1])

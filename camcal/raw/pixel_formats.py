@@ -14,7 +14,7 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.errors import InvalidInput
 from camcal.parsing import nearest
-from camcal.raw.options import ALIGNS, ENDIANS, MONO
+from camcal.raw.names import ALIGNS, ENDIANS, MONO
 from camcal.raw.packing import BLOCK_PIXELS, Packing, gige_vision, lsb_first, mipi, msb_first, unpack_rows
 
 

@@ -21,7 +21,8 @@ from camcal.images.exif import JPEG, PNG, read_jpeg
 from camcal.images.load import load, png_has_colour
 from camcal.raw.headerless import read_headerless
 from camcal.raw.mosaic import Capture, Mosaic, cell_side, full_scale, is_x_trans, phases, require_pattern
-from camcal.raw.options import BARE_SUFFIXES, HEADERLESS_SUFFIXES, MONO, NO_LAYOUT, PATTERNS, GivenLayout
+from camcal.raw.names import MONO, PATTERNS
+from camcal.raw.options import BARE_SUFFIXES, HEADERLESS_SUFFIXES, NO_LAYOUT, GivenLayout
 
 
 def read_mosaic(
@@ -40,20 +41,17 @@ def read_mosaic(
     suffix = path.suffix.lower()
     with Located(path):
         if suffix in HEADERLESS_SUFFIXES:
-            return _read_headerless(path, pattern, layout)
-        _refuse_layout(layout)
-        return _read_bare(path, pattern, content) if suffix in BARE_SUFFIXES else _read_camera(path, pattern, content)
-
-
-def _refuse_layout(layout: GivenLayout) -> None:
-    if layout != NO_LAYOUT:
-        raise InvalidInput("has a header: --format, --size and others are for .raw and .bin files")
-
-
-def _read_headerless(path: Path, pattern: str | None, layout: GivenLayout) -> Mosaic:
-    complete = layout.complete(path, pattern)
-    values, named = read_headerless(path, complete)
-    return Mosaic(values, named, np.zeros((2, 2)), complete.pixel_format.white)
+            complete = layout.complete(path, pattern)
+            values, colours = read_headerless(path, complete)
+            return Mosaic(values, colours, np.zeros((2, 2)), complete.pixel_format.white)
+        if layout != NO_LAYOUT:
+            raise InvalidInput("has a header: --format, --size and others are for .raw and .bin files")
+        if suffix in BARE_SUFFIXES:
+            return _read_bare(path, pattern, content)
+        frame = read_camera_raw(path, content)
+        if pattern not in (None, frame.pattern):
+            raise InvalidInput(f"pattern {frame.pattern} in the file, {pattern} by --pattern; leave --pattern out")
+        return frame
 
 
 def _read_bare(path: Path, pattern: str | None, content: bytes | None) -> Mosaic:
@@ -74,13 +72,6 @@ def missing_pattern(path: Path) -> InvalidInput:
     """Return the error for a bare mosaic whose pattern was not given."""
     message = f"a bare mosaic has no colour pattern; give --pattern {'|'.join(PATTERNS)}"
     return InvalidInput(message, where=str(path))
-
-
-def _read_camera(path: Path, pattern: str | None, content: bytes | None) -> Mosaic:
-    frame = read_camera_raw(path, content)
-    if pattern not in (None, frame.pattern):
-        raise InvalidInput(f"pattern {frame.pattern} in the file, {pattern} by --pattern; leave --pattern out")
-    return frame
 
 
 _ORIENTATIONS = (1, 2, 4, 3, 5, 8, 6, 7)  # as EXIF counts them, by LibRaw's bits: mirror in x, in y, then transpose

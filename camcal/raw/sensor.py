@@ -113,12 +113,12 @@ def _require_steady(flats: Sequence[Level], darks: Sequence[Level]) -> None:
     for level, share in _drifts(flats, darks):
         if share > _DRIFT[1]:
             raise InsufficientData(
-                f"frames of one level ({_described(level)}) differ by {100 * share:.0f} % in brightness: check for "
+                f"frames of one level ({_describe(level)}) differ by {100 * share:.0f} % in brightness: check for "
                 "mixed exposures or flicker"
             )
 
 
-def _described(level: Level) -> str:
+def _describe(level: Level) -> str:
     exposure = "" if level.exposure_s is None else f"{1e3 * level.exposure_s:g} ms, "
     return f"{exposure}{level.frames} frames, mean {level.mean_dn.mean():.4g}"
 
@@ -140,7 +140,7 @@ def _warnings(
     """Yield the warnings about the frames and the figures."""
     for level, share in _drifts(flats, darks):
         if share > _DRIFT[0]:
-            text = f"illumination changed by {100 * share:.2g} % between frames of one level ({_described(level)})"
+            text = f"illumination changed by {100 * share:.2g} % between frames of one level ({_describe(level)})"
             yield Message("unstable_illumination", text, {"change": share})
     if _what_ends(curves, white) == NOT_REACHED:
         peak = max(level.peak for level in flats)

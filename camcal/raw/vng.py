@@ -96,7 +96,7 @@ def vng(values: Array, pattern: str, white: float, *, each: Each = one_by_one, t
 
 
 def _missing(tile: Tile, bayer: Bayer) -> Missing:
-    red, right, below, blue = (_found(tile, _Surroundings(bayer, place)) for place in range(len(PLACES)))
+    red, right, below, blue = (_find_missing(tile, _Surroundings(bayer, place)) for place in range(len(PLACES)))
     return Missing(
         green_at_red=red["G"],
         green_at_blue=blue["G"],
@@ -131,7 +131,7 @@ class _Surroundings:
         return PLACES[_located(self._place, step)[0]]
 
 
-def _found(tile: Tile, around: _Surroundings) -> dict[str, Plane]:
+def _find_missing(tile: Tile, around: _Surroundings) -> dict[str, Plane]:
     """Return the colours that samples lack: themselves plus the mean difference of the colours in the smooth ways."""
     ways = _AROUND_GREEN if around.colour == "G" else _AROUND_COLOUR
     gradients = [_gradient(tile, around, way) for way in ways]

@@ -1,8 +1,8 @@
 """The map from the plane of a board to pixels for an uncalibrated lens, fitted to its points.
 
-A homography, then a radial distortion, q = p / (1 + λ₁ r² + λ₂ r⁴ + λ₃ r⁶) with p, r from a middle near the image's
-(the division model, Fitzgibbon 2001), which even few points determine; what these leave is a polynomial in the board's
-plane of as high a degree as the points allow.
+A homography, which keeps straight lines straight, then a radial distortion, q = p / (1 + λ₁ r² + λ₂ r⁴ + λ₃ r⁶) with
+p, r from a middle near the image's (the division model, Fitzgibbon 2001), which even few points determine; what these
+leave is a polynomial in the board's plane of as high a degree as the points allow.
 """
 
 from dataclasses import dataclass, replace
@@ -10,7 +10,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.geometry.homography import apply_homography, homography_of
+
+_LEAST_SIZE = 1e-12  # of points that lie in one place, so that nothing is divided by 0
 
 _DEGREE = 5  # of the polynomial at most
 _POINTS_PER_TERM = 3
@@ -21,6 +22,36 @@ _STEP = 1e-4  # of a radial term or of the middle, for derivatives
 _HELD = 2.5e-5 / np.array([1.0, 1.0, 1.0, 0.05, 0.05])
 _REQUIRED_DECREASE = 0.99  # of the sum of squares that a round must fall below to be taken
 _INVERSIONS = 12
+
+
+def apply_homography(homography: Array, points: Array) -> Array:
+    """Return where a homography (3, 3) takes points (N, 2)."""
+    moved = points @ homography[:, :2].T + homography[:, 2]
+    return np.asarray(moved[:, :2] / moved[:, 2:])
+
+
+def homography_of(points: Array, seen: Array) -> Array:
+    """Return the homography (3, 3) of least algebraic error from points (N, 2) to where they are seen (N, 2).
+
+    N is 4 or more; its last entry is 1.
+    Source: Hartley, In Defense of the Eight-Point Algorithm, 1997 (why both are normalised).
+    """
+    onto, back = _normalising(points), _normalising(seen)
+    (x, y), (u, v) = apply_homography(onto, points).T, apply_homography(back, seen).T
+    one, zero = np.ones_like(x), np.zeros_like(x)
+    upper = np.stack([x, y, one, zero, zero, zero, -u * x, -u * y, -u], axis=1)
+    lower = np.stack([zero, zero, zero, x, y, one, -v * x, -v * y, -v], axis=1)
+    design = np.concatenate([upper, lower])
+    entries = np.linalg.eigh(design.T @ design)[1][:, 0]
+    result = np.linalg.inv(back) @ entries.reshape(3, 3) @ onto
+    return np.asarray(result / result[2, 2])
+
+
+def _normalising(points: Array) -> Array:
+    """Return the similarity (3, 3) that brings points (N, 2) around the origin and to unit size."""
+    middle = points.mean(axis=0)
+    scale = 1 / max(float(np.abs(points - middle).mean()), _LEAST_SIZE)
+    return np.array([[scale, 0, -scale * middle[0]], [0, scale, -scale * middle[1]], [0, 0, 1]])
 
 
 @dataclass(frozen=True, eq=False)

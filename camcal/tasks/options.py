@@ -25,7 +25,8 @@ from camcal.options import (
     Written,
     separated,
 )
-from camcal.raw.options import MONO, NO_LAYOUT, PATTERNS, GivenLayout
+from camcal.raw.names import MONO, PATTERNS
+from camcal.raw.options import NO_LAYOUT, GivenLayout
 from camcal.tasks.suggestions import board_kinds, camera_formats, format_names
 
 CAMERA_SUFFIXES = (".yaml", ".yml", ".xml", ".json")  # of camera files, of all formats

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from camcal.geometry.homography import apply_homography, homography_of
+from camcal.targets.board_map import apply_homography, homography_of
 
 SQUARE = np.array([(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)])
 SLOPES = st.floats(-0.3, 0.3)

@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 
 from camcal.errors import FileError, InsufficientData, InvalidInput
 from camcal.images.save import save
-from camcal.raw.bad_pixels import make_map, read_map, repair, write_map
+from camcal.raw.calibration_frames import make_map, read_map, repair, write_map
 from camcal.raw.mosaic import phases
-from camcal.raw.options import MONO, PATTERNS
+from camcal.raw.names import MONO, PATTERNS
 
 HEIGHT, WIDTH = 90, 121
 SIZE = (WIDTH, HEIGHT)

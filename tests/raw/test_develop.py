@@ -6,10 +6,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from camcal.errors import InsufficientData, InvalidInput
-from camcal.raw.colour import encode, found_gains, quantise
+from camcal.raw.colour import encode, find_gains, quantise
 from camcal.raw.develop import Corrections, develop, linearise, negative
 from camcal.raw.mosaic import Mosaic, sites
-from camcal.raw.options import MONO, PATTERNS, Balance, Development
+from camcal.raw.names import MONO, PATTERNS
+from camcal.raw.options import Balance, Development
 
 
 def frame(light, pattern="RGGB", black=(64.0, 64.0, 64.0, 64.0), white=1023.0, camera_gains=None):
@@ -29,7 +30,7 @@ def coloured_light(red, green, blue, pattern="RGGB", shape=(8, 10)):
 
 
 def gains_of(mosaic, balance, normalise="min"):
-    return found_gains(Balance(balance, normalise), linearise(mosaic), mosaic.pattern, mosaic.camera_gains)
+    return find_gains(Balance(balance, normalise), linearise(mosaic), mosaic.pattern, mosaic.camera_gains)
 
 
 def test_black_becomes_zero_and_white_one_for_every_phase():

@@ -6,7 +6,7 @@ import pytest
 from camcal.errors import InvalidInput
 from camcal.raw.calibration_frames import flat_gain
 from camcal.raw.mosaic import phases
-from camcal.raw.options import MONO
+from camcal.raw.names import MONO
 
 HEIGHT, WIDTH = 121, 160
 ROWS, COLUMNS = np.mgrid[:HEIGHT, :WIDTH]

@@ -5,7 +5,7 @@ import pytest
 from bayer import PEAK, by_threads, random_mosaic, sampled, scene
 
 from camcal.raw.linear_filters import malvar
-from camcal.raw.options import PATTERNS
+from camcal.raw.names import PATTERNS
 
 GREEN = np.array([[0, 0, -1, 0, 0], [0, 0, 2, 0, 0], [-1, 2, 4, 2, -1], [0, 0, 2, 0, 0], [0, 0, -1, 0, 0]]) / 8
 IN_ROW = np.array([[0, 0, 0.5, 0, 0], [0, -1, 0, -1, 0], [-1, 4, 5, 4, -1], [0, -1, 0, -1, 0], [0, 0, 0.5, 0, 0]]) / 8

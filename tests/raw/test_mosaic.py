@@ -6,7 +6,7 @@ import pytest
 
 from camcal.errors import FileError, InvalidInput
 from camcal.raw.mosaic import Mosaic, by_place, channel_names, sites
-from camcal.raw.options import PATTERNS
+from camcal.raw.names import PATTERNS
 from camcal.raw.reading import read_mosaic
 
 SAMPLES = np.arange(12, dtype=np.uint16).reshape(3, 4) * 5000

@@ -9,7 +9,7 @@ from bayer import PEAK, by_threads, random_mosaic, sampled, scene
 
 from camcal.raw import ri_green
 from camcal.raw.demosaic import demosaic
-from camcal.raw.options import PATTERNS
+from camcal.raw.names import PATTERNS
 from camcal.raw.planes import one_by_one
 from camcal.raw.residual import RED_BLUE_REACH, noise_of_green, residual_interpolation
 from camcal.raw.tiling import scale_of

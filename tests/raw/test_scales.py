@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from camcal.raw.mosaic import sites
-from camcal.raw.options import PATTERNS
+from camcal.raw.names import PATTERNS
 from camcal.raw.planes import Plane
 from camcal.raw.tiling import Counts, Proportional, Root, scale_of
 

@@ -7,7 +7,7 @@ import pytest
 from camcal.errors import InvalidInput
 from camcal.raw.frame_facts import check_phase
 from camcal.raw.mosaic import Mosaic, sites
-from camcal.raw.options import PATTERNS
+from camcal.raw.names import PATTERNS
 from camcal.raw.reading import read_mosaic
 
 

@@ -19,7 +19,8 @@ from camcal.raw.demosaic import demosaic
 from camcal.raw.detection_image import agreeing_gains, detection_image_of, read_detection_image
 from camcal.raw.dng import write_dng
 from camcal.raw.mosaic import Mosaic, sites
-from camcal.raw.options import MONO, PATTERNS, GivenLayout, ImageReadOptions
+from camcal.raw.names import MONO, PATTERNS
+from camcal.raw.options import GivenLayout, ImageReadOptions
 from camcal.raw.pixel_formats import pack, pixel_format_named
 from camcal.simulate.mosaics import filter_mosaic, lenses
 from camcal.simulate.render import Exposure, evenly_lit

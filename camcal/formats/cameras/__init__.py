@@ -17,7 +17,7 @@ from camcal.cameras.model import Camera
 from camcal.errors import InvalidInput
 from camcal.formats.camera_file import CameraEntry, CameraFile
 from camcal.formats.cameras.record import CameraFormat, Given, Source, expressed, lost_coefficients
-from camcal.formats.plausibility import implausible
+from camcal.formats.native import implausible
 from camcal.geometry.pose import frames_of
 from camcal.parsing import did_you_mean
 from camcal.progress import SILENT, Progress, warn_of

@@ -190,7 +190,9 @@ def _check_poses(blocks: Any, path: str, frames: str) -> Iterator[Fault]:
 
 def _check_block(block: Mapping[str, Any], path: str, frames: str) -> Iterator[Fault]:
     """Check what no single value shows: lengths of quaternions, and whether covariances are some."""
-    for place, holder in [(path, block), *_placed(block.get("alternatives", []), child(path, "alternatives"))]:
+    others = child(path, "alternatives")
+    alternatives = [(child(others, index), other) for index, other in enumerate(block.get("alternatives", []))]
+    for place, holder in [(path, block), *alternatives]:
         length = math.hypot(*holder[frames]["quaternion"].values())
         if abs(length - 1) > UNIT_LENGTH:
             yield Fault(child(place, f"{frames}.quaternion"), f"has length {length:.6g}, not 1")
@@ -200,25 +202,18 @@ def _check_block(block: Mapping[str, Any], path: str, frames: str) -> Iterator[F
                 yield Fault(child(place, name), reason)
 
 
-def _placed(blocks: list[Any], path: str) -> list[tuple[str, Any]]:
-    return [(child(path, index), block) for index, block in enumerate(blocks)]
-
-
 def from_document(data: Document) -> Poses:
     """Return the poses of data that has passed `check`."""
     frames = data["frames"]
     noise = data["noise"]
+    scale = noise.get("scale")
     return Poses(
         frames,
         data["unit"],
-        PixelNoise(float(noise["sigma_px"]), _number(noise.get("scale")), noise.get("degrees_of_freedom")),
+        PixelNoise(float(noise["sigma_px"]), None if scale is None else float(scale), noise.get("degrees_of_freedom")),
         {_sight(block): _record(block, frames) for block in data["poses"]},
         {_sight(block): block["reason"] for block in data.get("missing", [])},
     )
-
-
-def _number(value: float | None) -> float | None:
-    return None if value is None else float(value)
 
 
 def _sight(block: Mapping[str, Any]) -> PoseKey:

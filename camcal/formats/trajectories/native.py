@@ -19,8 +19,8 @@ from camcal.formats.documents import MAX_VALUES, Document, child, load_either
 from camcal.formats.emit import number_text
 from camcal.formats.pose_text import static_transform_publisher
 from camcal.formats.schema import COVARIANCE_OF_POSE, integer, items, mapping, number, one_of, text
+from camcal.formats.tables import require_frames, trajectory_of
 from camcal.formats.trajectories import tracked
-from camcal.formats.trajectories.rows import named, trajectory
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Trajectory, frames_of
 
@@ -125,8 +125,8 @@ def _from_document(document: Document) -> Trajectory:
     stamps = np.array([block["t"] for block in blocks], float) + document.get("epoch", 0)
     positions = np.array([block["translation"] for block in blocks], float)
     quaternions = np.array([[block["quaternion"][name] for name in QUATERNION] for block in blocks], float)
-    frames = named(document["frames"], document.where)
-    poses = trajectory(document.where, lines, frames, stamps, positions, quaternions)
+    frames = require_frames(document["frames"], document.where)
+    poses = trajectory_of(document.where, lines, frames, stamps, positions, quaternions)
     optional = [_all(document, name) for name in _OPTIONAL]
     return Trajectory(frames, poses.stamps, poses.rotations, poses.translations, *optional)
 
@@ -156,7 +156,7 @@ def _from_transforms(document: Document) -> Trajectory:
             where=f"{document.where}:{lines[other]}",
         )
     numbers = np.array([list(_stamped_numbers(each)) for each in transforms])
-    return trajectory(document.where, lines, names[0], numbers[:, 0], numbers[:, 1:4], numbers[:, 4:])
+    return trajectory_of(document.where, lines, names[0], numbers[:, 0], numbers[:, 1:4], numbers[:, 4:])
 
 
 def write_tf(path: Path, poses: Trajectory) -> None:

@@ -14,8 +14,8 @@ from camcal.arrays import Array
 from camcal.errors import FileError, InvalidInput
 from camcal.formats import tables
 from camcal.formats.covariance import PAIRS, POSITION, QUATERNION, from_upper, names_of_pairs
+from camcal.formats.tables import number_rows, require_frames, require_plausible, trajectory_of
 from camcal.formats.trajectories import tracked
-from camcal.formats.trajectories.rows import named, numbers, require_plausible, trajectory
 from camcal.formats.trajectories.tracked import VELOCITY
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Trajectory
@@ -53,13 +53,13 @@ def _of_columns(path: Path, lines: tables.Lines, frames: str | None) -> Trajecto
     names = list(head.columns)
     if len(rows) < 2:
         raise FileError("holds no poses", where=str(path))
-    table = numbers(str(path), rows[1:], (len(names),), ",")
+    table = number_rows(str(path), rows[1:], (len(names),), ",")
 
     def columns(wanted: Sequence[str]) -> Array | None:
         return table[:, [names.index(name) for name in wanted]] if _has(path, names, wanted) else None
 
     pose, where = table[:, [names.index(name) for name in _POSE]], [number for number, _ in rows[1:]]
-    poses = trajectory(str(path), where, frames or _named(lines), pose[:, 0], pose[:, 1:4], pose[:, 4:])
+    poses = trajectory_of(str(path), where, frames or _named(lines), pose[:, 0], pose[:, 1:4], pose[:, 4:])
     upper = columns(_COVARIANCE)
     return replace(
         poses,
@@ -139,12 +139,12 @@ def _rows(path: Path) -> tuple[list[int], Array, str | None]:
     if not rows:
         raise FileError("holds no poses", where=str(path))
     separator = "," if "," in rows[0][1] else None
-    table = numbers(str(path), rows, (_TUM, _KITTI), separator)
+    table = number_rows(str(path), rows, (_TUM, _KITTI), separator)
     return [number for number, _ in rows], table, frames
 
 
 def _of_tum(path: str, lines: list[int], table: Array, frames: str | None) -> Trajectory:
-    return trajectory(path, lines, frames, table[:, 0], table[:, 1:4], table[:, [7, 4, 5, 6]])
+    return trajectory_of(path, lines, frames, table[:, 0], table[:, 1:4], table[:, [7, 4, 5, 6]])
 
 
 def _is_euroc(path: Path) -> bool:
@@ -157,9 +157,9 @@ def _read_euroc(path: Path, frames: str | None = None) -> Trajectory:
     rows = [(number, line) for number, line in tables.numbered_lines(path) if not line.startswith("#")]
     if not rows:
         raise FileError("holds no poses", where=str(path))
-    table = numbers(str(path), rows, _EUROC, ",")
+    table = number_rows(str(path), rows, _EUROC, ",")
     where = [number for number, _ in rows]
-    return trajectory(str(path), where, frames, table[:, 0] * _NS, table[:, 1:4], table[:, 4:8])
+    return trajectory_of(str(path), where, frames, table[:, 0] * _NS, table[:, 1:4], table[:, 4:8])
 
 
 def write_tum(path: Path, poses: Trajectory) -> None:
@@ -188,4 +188,4 @@ def _of_matrices(path: str, lines: list[int], table: Array, frames: str | None) 
     if bad.any():
         raise InvalidInput("the left 3 × 3 numbers are not a rotation", where=f"{path}:{lines[int(np.argmax(bad))]}")
     stamps = np.arange(len(matrices), dtype=float)
-    return Trajectory(named(frames, path), stamps, so3.nearest(rotations), matrices[:, :, 3])
+    return Trajectory(require_frames(frames, path), stamps, so3.nearest(rotations), matrices[:, :, 3])

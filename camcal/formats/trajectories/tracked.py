@@ -20,8 +20,7 @@ from camcal.formats.covariance import ORDER, POSITION, QUATERNION, STEPS
 from camcal.formats.documents import Document, child
 from camcal.formats.poses.record import PoseRecord
 from camcal.formats.schema import COVARIANCE_OF_POSE, STATISTIC, STD, integer, items, mapping, number, one_of, text
-from camcal.formats.tables import Lines, Table, cell
-from camcal.formats.trajectories.rows import named, trajectory
+from camcal.formats.tables import Lines, Table, cell, require_frames, trajectory_of
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Trajectory
 
@@ -90,7 +89,7 @@ def _of_rows(path: Path, table: Table, frames: str | None) -> Trajectory:
         return np.column_stack([table.numbers(name) for name in wanted])
 
     pose = columns(_POSE)
-    poses = trajectory(str(path), table.lines, frames, table.numbers("t"), pose[:, :3], pose[:, 3:])
+    poses = trajectory_of(str(path), table.lines, frames, table.numbers("t"), pose[:, :3], pose[:, 3:])
     return replace(
         poses,
         covariances=columns(_STD)[:, :, None] ** 2 * np.eye(len(ORDER)),
@@ -127,7 +126,7 @@ def _of_frames(document: Document, place: str, frames: Sequence[Mapping[str, Any
         for name in ("t", "translation", "velocity", "covariance", "segment")
     )
     quaternions = np.array([[block["quaternion"][name] for name in QUATERNION] for block in blocks], float)
-    poses = trajectory(where, lines, named(document["frames"], where), stamps, positions, quaternions)
+    poses = trajectory_of(where, lines, require_frames(document["frames"], where), stamps, positions, quaternions)
     return replace(
         poses,
         covariances=covariances,

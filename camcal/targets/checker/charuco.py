@@ -341,11 +341,8 @@ def _unplaced(part: _Part) -> BoardDetection:
 
 def clearance(board: Board) -> float:
     """Return how far from an edge, in squares, an image of a ChArUco board shows nothing but squares."""
-    return MARGIN_USED * (1 - _ratio(board)) / 2
-
-
-def _ratio(board: Board) -> float:
-    return float(board.marker or 0) / (board.square or 1.0)
+    marker_ratio = float(board.marker or 0) / (board.square or 1.0)
+    return MARGIN_USED * (1 - marker_ratio) / 2
 
 
 def _legacies(board: Board) -> tuple[bool, ...]:

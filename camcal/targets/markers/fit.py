@@ -20,11 +20,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.geometry.homography import apply_homography
 from camcal.solve.descent import Stopping
 from camcal.solve.least_squares import Solution, minimise
 from camcal.solve.losses import Huber
 from camcal.solve.steps import Block, Jacobian, SingularError, Step
+from camcal.targets.board_map import apply_homography
 from camcal.targets.markers.families import MarkerDrawing
 
 BENDS = 6

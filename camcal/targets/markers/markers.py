@@ -64,7 +64,10 @@ def detect_markers(gray: Array, family: str, *, keep_repeated: bool = False) -> 
     covariance = np.array([np.roll(fit.covariance, 2 * known.turned, axis=0) for _, fit in once]).reshape(-1, 4, 2, 2)
     repeated |= {} if keep_repeated else {marker: count for marker, count in counts.items() if count > 1}
     warnings = [_repeated_id(marker, count) for marker, count in sorted(repeated.items())]
-    warnings += [_not_refined(marker) for marker, fit in once if not fit.settled]
+    for marker, fit in once:
+        if not fit.settled:
+            text = f"id {marker}: corner refinement failed; corners of OpenCV used"
+            warnings.append(Message("tag_not_refined", text, {"id": marker}))
     return Markers(np.array([marker for marker, _ in once], np.intp), corners, covariance, tuple(warnings))
 
 
@@ -113,7 +116,3 @@ def _located(gray: Array, start: Array, family: Family, marker: int) -> MarkerFi
 def _repeated_id(marker: int, count: int) -> Message:
     text = f"id {marker} detected {count} times, none used; --repeated-ids keep uses all"
     return Message("repeated_tag_id", text, {"id": marker, "count": count})
-
-
-def _not_refined(marker: int) -> Message:
-    return Message("tag_not_refined", f"id {marker}: corner refinement failed; corners of OpenCV used", {"id": marker})

@@ -22,20 +22,13 @@ from camcal.images.save import KINDS, save
 from camcal.options import NUMBERS, declared
 from camcal.progress import SILENT, Outcome, Progress, reused
 from camcal.raw.colour import DTYPES
-from camcal.raw.demosaic import HALF, resolved
+from camcal.raw.demosaic import resolved
 from camcal.raw.develop import Corrections, Picture, clipped_shares, develop, negative
 from camcal.raw.dng import write_dng
 from camcal.raw.frame_facts import check_phase, green_diagonal, likely_white, low_peak
 from camcal.raw.mosaic import Mosaic
-from camcal.raw.options import (
-    BARE_SUFFIXES,
-    GRAY_WORLD,
-    HEADERLESS_SUFFIXES,
-    NO_BALANCE,
-    PATTERNS,
-    Balance,
-    Development,
-)
+from camcal.raw.names import HALF, PATTERNS
+from camcal.raw.options import BARE_SUFFIXES, GRAY_WORLD, HEADERLESS_SUFFIXES, NO_BALANCE, Balance, Development
 from camcal.raw.planes import Each, one_by_one
 from camcal.raw.reading import missing_pattern
 from camcal.run import fingerprint

@@ -13,11 +13,12 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.errors import InvalidInput, Located
 from camcal.progress import SILENT, Progress
-from camcal.raw import bad_pixels
+from camcal.raw import calibration_frames
 from camcal.raw.calibration_frames import dark_average, flat_gain, stack
 from camcal.raw.develop import NO_CORRECTIONS, Corrections, linearise
 from camcal.raw.mosaic import Mosaic, channel_names
-from camcal.raw.options import HEADERLESS_SUFFIXES, MONO
+from camcal.raw.names import MONO
+from camcal.raw.options import HEADERLESS_SUFFIXES
 from camcal.raw.reading import read_mosaic
 from camcal.run.outputs import writes
 from camcal.run.paths import find_images
@@ -56,7 +57,7 @@ def load_corrections(given: CorrectionFiles, reading: RawInput, first: Path) -> 
         return NO_CORRECTIONS
     like = read_frame(first, reading)
     dark = dark_average(frames(given.dark, reading), like.white) if given.dark else None
-    corrections = Corrections(dark=dark, bad=bad_pixels.read_map(given.bad, like.size) if given.bad else None)
+    corrections = Corrections(dark=dark, bad=calibration_frames.read_map(given.bad, like.size) if given.bad else None)
     if given.flat:
         flat = stack(frames(given.flat, reading)).mean
         corrections.require_size(like)
@@ -97,9 +98,9 @@ def make_bad_pixel_map(options: DemosaicOptions, progress: Progress = SILENT) ->
             yield read_frame(source, options.reading).values
             progress.advance()
 
-    mask = bad_pixels.make_map(counts(), pattern or MONO)
+    mask = calibration_frames.make_map(counts(), pattern or MONO)
     progress.finish()
-    bad_pixels.write_map(options.output, mask)
+    calibration_frames.write_map(options.output, mask)
     return BadPixelMap(options.output, len(sources), int(np.count_nonzero(mask)), mask.size)
 
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from camcal import files
 from camcal.errors import InvalidInput
-from camcal.formats import native
-from camcal.formats.cameras import rectified_pair, ros
+from camcal.formats import native, pair_calibration
+from camcal.formats.cameras import ros
 from camcal.images.load import load
 from camcal.images.save import save
 from camcal.images.video import frames
@@ -126,9 +126,9 @@ def _plan(options: RectifyOptions, rig: GivenRig, progress: Progress) -> Rectifi
     for warning in found.warnings:
         progress.warn(warning.at(options.rig))
     if options.opencv:
-        rectified_pair.require_pinhole(found, "--opencv")
+        pair_calibration.require_pinhole(found, "--opencv")
     if options.ros:
-        rectified_pair.require_pinhole(found, "--ros")
+        pair_calibration.require_pinhole(found, "--ros")
     return found
 
 
@@ -194,10 +194,10 @@ def _write_beside(beside: Beside, options: RectifyOptions, rig: GivenRig, found:
         with files.replacing(beside.maps) as temporary, temporary.open("wb") as stream:
             np.savez(stream, **arrays)
     if beside.opencv is not None:
-        rectified_pair.write_opencv(beside.opencv, found)
+        pair_calibration.write_opencv(beside.opencv, found)
     if beside.ros:
         pose = rig.pose(found.right, found.left)
-        ros.write(beside.ros[0].parent, rectified_pair.as_ros(rig.file, found, pose))
+        ros.write(beside.ros[0].parent, pair_calibration.as_ros(rig.file, found, pose))
     native.write(beside.camera_file, rectified_file(rig, found, command_line("stereo rectify", options)))
 
 

@@ -14,7 +14,7 @@ from camcal import files, messages
 from camcal.arrays import PixelArray
 from camcal.errors import GateFailed, InsufficientData, InvalidInput, ItemsFailed
 from camcal.formats import native
-from camcal.formats.plausibility import untrustworthy
+from camcal.formats.native import untrustworthy
 from camcal.images import video
 from camcal.images.load import load
 from camcal.images.save import save

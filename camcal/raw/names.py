@@ -1,0 +1,10 @@
+"""Names of colour filter patterns, byte layouts and demosaicing algorithms, as options and files give them."""
+
+PATTERNS = ("RGGB", "GRBG", "GBRG", "BGGR")
+MONO = "MONO"
+ENDIANS = ("little", "big")
+ALIGNS = ("lsb", "msb")
+
+AUTO, RI, HALF, NONE = "auto", "ri", "half", "none"
+GREEN, GRAY = "green", "gray"
+LIBRAW = "libraw:"  # before the name of one of LibRaw's filters
