@@ -68,6 +68,13 @@ def test_cameras_are_placed_along_the_paths_known_best():
     np.testing.assert_allclose(found.translations[2], SHIFT)
 
 
+def test_a_path_counts_with_all_of_its_links_and_each_with_the_number_of_its_captures():
+    few, many = made(1e-3, 5), made(1e-3, 100)
+    np.testing.assert_allclose(place({(0, 1): many, (1, 2): many, (0, 2): few}, 3).rotations[2], TURN @ TURN)
+    links = {(0, 1): made(1.0e-3), (1, 2): made(0.9e-3), (0, 2): made(1.1e-3)}
+    np.testing.assert_allclose(place(links, 3).rotations[2], TURN)
+
+
 def test_the_largest_group_of_linked_cameras_is_placed_from_its_first():
     found = place({(0, 3): made(1e-3), (1, 2): made(1e-3), (2, 4): made(1e-3)}, 5)
     assert sorted(found.rotations) == [1, 2, 4]

@@ -58,6 +58,11 @@ def test_of_a_folder_names_and_contents_count_and_hidden_files_do_not(camera):
     known = fingerprint.of_settings(options)
     (camera.parent / ".camcal-output").write_text("camera.yaml\n", encoding="utf-8")
     assert fingerprint.of_settings(options) == known
+    text = camera.read_text(encoding="utf-8")
+    camera.write_text(text.replace("1000", "1001"), encoding="utf-8")
+    assert fingerprint.of_settings(options) != known
+    camera.write_text(text, encoding="utf-8")
+    assert fingerprint.of_settings(options) == known
     camera.rename(camera.with_name("other.yaml"))
     assert fingerprint.of_settings(options) != known
 

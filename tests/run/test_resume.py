@@ -6,11 +6,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from camcal import files
 from camcal.errors import InvalidInput
 from camcal.images.save import save
 from camcal.run import manifest
 from camcal.run.manifest import MANIFEST
 from camcal.run.options import BatchOptions
+from camcal.run.outputs import claim, watching
+from camcal.run.resume import Items, resumable
 from camcal.tasks.calibration.undistort import UndistortOptions, undistort
 from camcal.tasks.options import GivenCamera
 
@@ -179,3 +182,72 @@ def test_a_size_in_the_list_that_is_no_size_is_ignored(folder):
     size = str(manifest.entries(Path("out"))["1.png"].size)
     Path("out", MANIFEST).write_text(text.replace(f"\t{size}\t", f"\t{'9' * 5000}\t", 1))
     assert "1.png" not in manifest.entries(Path("out"))
+
+
+def lengths(texts, *, fail_fast=False, stream=False):
+    """Write the length of each text to two files; return of each what became of it: its name, reused, made or failed.
+
+    stream: the texts come one after another.
+    """
+
+    def outputs(path):
+        return [Path("out", f"{path.stem}.{kind}") for kind in ("a", "b")]
+
+    def measured(path):
+        for output in outputs(path):
+            files.write_text(output, f"{len(files.read_text(path))}\n")
+        return path.stem
+
+    items = Items("any", lambda path: [path], outputs, str)
+    with watching() as account:
+        account.resume = True
+        claim(output for path in texts for output in outputs(path))
+        every = (path for path in texts) if stream else texts
+        found = list(resumable(measured, every, items, jobs=1, batch=BatchOptions(fail_fast=fail_fast, resume=True)))
+    return [(each.item.stem, "failed" if each.error else "reused" if each.reused else "made") for each in found]
+
+
+@pytest.fixture
+def texts(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for number in range(3):
+        Path(f"{number}.txt").write_text("some text\n")
+    return [Path(f"{number}.txt") for number in range(3)]
+
+
+@pytest.mark.parametrize("stream", [False, True])
+def test_an_item_with_a_file_that_another_run_has_made_since_is_made_again(texts, stream):
+    lengths(texts)
+    entry = manifest.entries(Path("out"))["1.b"]
+    manifest.change(Path("out"), {"1.b": entry._replace(made_from="0" * 64)})
+    assert lengths(texts, stream=stream) == [("0", "reused"), ("1", "made"), ("2", "reused")]
+    assert lengths(texts, stream=stream) == [("0", "reused"), ("1", "reused"), ("2", "reused")]
+
+
+def test_what_is_made_again_with_the_same_content_is_not_written(texts):
+    lengths(texts)
+    before = times()
+    texts[1].write_text("same size\n")
+    assert lengths(texts) == [("0", "reused"), ("1", "made"), ("2", "reused")]
+    assert {name: time for name, time in times().items() if name != MANIFEST} == {
+        name: time for name, time in before.items() if name != MANIFEST
+    }
+
+
+def test_an_output_of_the_same_size_with_another_content_is_not_reused_and_not_replaced(texts):
+    lengths(texts)
+    Path("out/1.a").write_text("11\n")
+    with pytest.raises(InvalidInput, match="was changed after camcal wrote it"):
+        lengths(texts)
+
+
+def test_inputs_after_one_that_is_gone_are_compared_whatever_ends_the_run(texts):
+    lengths(texts)
+    texts[0].unlink()
+    assert lengths(texts, fail_fast=True) == [("0", "failed"), ("1", "reused"), ("2", "reused")]
+
+
+def test_the_list_is_in_natural_order(texts):
+    Path("10.txt").write_text("some text\n")
+    lengths([*texts, Path("10.txt")])
+    assert list(manifest.entries(Path("out"))) == ["0.a", "0.b", "1.a", "1.b", "2.a", "2.b", "10.a", "10.b"]

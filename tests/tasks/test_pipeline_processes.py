@@ -72,6 +72,20 @@ def test_steps_in_processes_write_the_same_bytes_as_one_by_one(pipeline):
     assert len(files_of(one)) >= 9
 
 
+def where(job, progress=SILENT):
+    """A step that says in which process it runs."""
+    return StepResult({"process": float(os.getpid())})
+
+
+@pytest.mark.parametrize(("jobs", "apart"), [(5, True), (6, False), (7, False)])
+def test_steps_have_a_process_each_if_they_keep_more_than_half_of_the_jobs_busy(pipeline, jobs, apart):
+    text = PIPELINE.partition("  second:")[0]
+    path = pipeline("one")
+    path.write_text(text)
+    found = {each.result.figures["process"] for each in run(path, jobs, where).steps}
+    assert (os.getpid() not in found) == apart
+
+
 @pytest.mark.parametrize("option", ["jobs: 2", "timeout: 60", 'scheduler: "dask://local"'])
 def test_steps_that_start_processes_of_their_own_run_here(pipeline, option):
     path = pipeline("here")

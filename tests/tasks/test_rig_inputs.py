@@ -208,3 +208,18 @@ def test_clocks_that_have_nothing_in_common_are_refused():
     seen = {"a": views("a", "1", "2", times=[0.0, 1.0]), "b": views("b", "1", "2", times=[100.0, 101.0])}
     with pytest.raises(InvalidInput, match="no two cameras have images within 500 ms"):
         matched(seen)
+
+
+def test_names_that_half_of_the_images_share_tell_the_captures_and_fewer_do_not():
+    left = views("left", "one.png", "two.png", "three.png", "ax.png", "be.png")
+    right = views("right", "one.png", "two.png", "quay.png", "mole.png", "zoo.png")
+    assert matched({"left": left, "right": right}).by == "index"
+    right = views("right", "one.png", "two.png", "three.png", "mole.png", "zoo.png")
+    assert matched({"left": left, "right": right}).by == "name"
+
+
+def test_of_two_images_of_a_camera_within_the_tolerance_the_later_one_begins_another_capture():
+    left, right = views("left", "l0", "l1", times=[0.0, 0.4]), views("right", "r0", times=[0.5])
+    found = matched({"left": left, "right": right}, tolerance=1.0)
+    assert rows(found) == [("l0", None), ("l1", "r0")]
+    assert found.unmatched == ("l0",)
