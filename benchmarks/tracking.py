@@ -20,6 +20,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 import motion
+from camcal.estimate.tracking.segments import PoseMeasurements, candidates_at
 
 from camcal.arrays import Array
 from camcal.cameras.catalogue import model_named
@@ -27,7 +28,6 @@ from camcal.cameras.model import Camera
 from camcal.estimate.pnp import estimate_poses
 from camcal.estimate.poses.records import Correspondences, PoseEstimate, PoseOptions
 from camcal.estimate.tracking import pose_filter
-from camcal.estimate.tracking.segments import PoseMeasurements, candidates_at
 from camcal.estimate.tracking.track import Track, TrackOptions, track_poses
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose, Trajectory

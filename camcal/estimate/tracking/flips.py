@@ -58,9 +58,8 @@ class Searched:
         return weights / (1 + weights)
 
 
-def searched(found: NoiseFit) -> Searched:
-    """Return the track with the stretches turned over that are better so."""
-    flat = ObjectPlane.of(found.track.chains.frames)
+def searched(found: NoiseFit, flat: ObjectPlane | None) -> Searched:
+    """Return the track with the stretches turned over that are better so; flat: the object's plane, if it has one."""
     turned = np.zeros(len(found.track.chains.used), dtype=bool)
     if flat is None:
         return Searched(found, (), turned)

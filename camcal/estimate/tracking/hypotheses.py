@@ -23,7 +23,7 @@ from camcal.estimate.tracking.free_motion import (
     descended,
     difference,
 )
-from camcal.estimate.tracking.pixel_costs import PixelFrames, linearised, minimised
+from camcal.estimate.tracking.pixel_costs import FrameCosts, minimised
 from camcal.geometry import rotation as so3
 
 MOST = 10  # hypotheses that are kept
@@ -91,19 +91,19 @@ class Forward:
         return path[::-1]
 
 
-def wrong_frame_costs(frames: PixelFrames, candidates: Candidates, unknown: Array) -> Array:
+def wrong_frame_costs(frames: FrameCosts, candidates: Candidates, unknown: Array) -> Array:
     """Return the costs (N) of frames that show something else: another pose, anywhere within variances (6,).
 
     Its pixels fit as well as those of any object; it takes up a pose that nothing foretells.
     """
     single = candidates.rotations[:, 0], candidates.translations[:, 0]
-    curvature = linearised(frames, *single, _BLUNT)[2]
+    curvature = frames.linearised(*single, _BLUNT)[2]
     volume = np.linalg.slogdet(_IDENTITY + unknown[:, None] * curvature)[1]
     return np.asarray(minimised(frames, *single)[2] + volume - 2 * np.log(RARE))
 
 
 def followed(
-    frames: PixelFrames,
+    frames: FrameCosts,
     candidates: Candidates,
     stamps: Array,
     motion: FreeMotion,
@@ -153,7 +153,7 @@ def _allowed(candidates: Candidates, index: int) -> tuple[Array, Array]:
 
 
 def _begun(
-    frame: PixelFrames,
+    frame: FrameCosts,
     allowed: tuple[Array, Array],
     motion: FreeMotion,
     jitter_std: Array,
@@ -230,7 +230,7 @@ def with_mirrored(expected: Hypotheses, flat: ObjectPlane) -> Hypotheses:
 
 def _seen(
     expected: Hypotheses,
-    frame: PixelFrames,
+    frame: FrameCosts,
     allowed: tuple[Array, Array],
     motion: FreeMotion,
     jitter_std: Array,
@@ -241,7 +241,7 @@ def _seen(
     ends = _descended(expected, frame, _starts(expected, allowed), jitter_std)
     children = _children(expected, ends, jitter_std)
     parts = [children]
-    if float(ends.costs.min()) > 2 * float(frame.there.sum()) + ANEW:
+    if float(ends.costs.min()) > frame.coordinates * float(frame.there.sum()) + ANEW:
         parts.append(expected._replace(costs=expected.costs + limit, kinds=np.full(len(expected.costs), WRONG)))
         parts.append(_anew(expected, frame, allowed, motion, jitter_std, distance))
     return _kept(_joined(parts))
@@ -249,7 +249,7 @@ def _seen(
 
 def _anew(
     expected: Hypotheses,
-    frame: PixelFrames,
+    frame: FrameCosts,
     allowed: tuple[Array, Array],
     motion: FreeMotion,
     jitter_std: Array,
@@ -281,7 +281,7 @@ def _starts(expected: Hypotheses, allowed: tuple[Array, Array]) -> MotionState:
     )
 
 
-def _descended(expected: Hypotheses, frame: PixelFrames, starts: MotionState, jitter_std: Array) -> DescentResults:
+def _descended(expected: Hypotheses, frame: FrameCosts, starts: MotionState, jitter_std: Array) -> DescentResults:
     return descended(frame, expected.states, expected.covariances[:, POSE, POSE] + jitter_std, starts)
 
 

@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
+from camcal.estimate.tracking.pose_filter import Candidates, FilterState
 from hypothesis import given
 from hypothesis import strategies as st
 
 from camcal.estimate.smoothing import kalman
 from camcal.estimate.tracking import pose_filter
 from camcal.estimate.tracking.jitter import jitter
-from camcal.estimate.tracking.pose_filter import Candidates, FilterState
 from camcal.geometry import rotation as so3
 
 NOISE = np.array([0.02, 0.5])

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from moving_objects import glances
 
+from camcal.estimate.tracking.measurements import GateOptions, PoseMeasurements
 from camcal.estimate.tracking.process_noise import tuned
-from camcal.estimate.tracking.segments import GateOptions, PoseMeasurements
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
 

@@ -15,8 +15,8 @@ from camcal.cameras.model import Camera
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.estimate.pnp import estimate_poses
 from camcal.estimate.poses.records import Correspondences, PoseOptions
+from camcal.estimate.tracking.measurements import GateOptions
 from camcal.estimate.tracking.process_noise import ProcessNoise
-from camcal.estimate.tracking.segments import GateOptions
 from camcal.estimate.tracking.track import GAP, MEASURED, PREDICTED, REJECTED, TrackOptions, track_poses
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose, Trajectory
