@@ -29,6 +29,7 @@ _FEW = 6  # points up to which a frame's squares are summed for the noise; of mo
 _NOISE_RANGE = 0.3, 3.0  # factors by which the noise may be corrected
 _ENOUGH = 0.45  # share of right points in a frame that shows the object
 _LEAST_NOISE = 1e-2  # px, or of covariances the factor's root: exact pixels have none
+_FIRST = 30  # detections that tell how far away the object is
 _LEAST_DISTANCE = 1e-6  # m; poses of a camera in its own frame may have none
 _NOTED = 0.02  # a correction that is worth it
 
@@ -74,10 +75,13 @@ def pixel_frames(
 
 
 def usual_distance(measurements: PoseMeasurements) -> float:
-    """Return the median distance of the object, m; raises InsufficientData if no frame has a pose."""
+    """Return the median distance of the object, m, of the first detections: a causal track knows no others.
+
+    Raises InsufficientData if no frame has a pose.
+    """
     if not measurements.present.any():
         raise InsufficientData("no detection in any frame")
-    distances = np.linalg.norm(measurements.translations[measurements.present, 0], axis=1)
+    distances = np.linalg.norm(measurements.translations[measurements.present, 0][:_FIRST], axis=1)
     return max(float(np.median(distances)), _LEAST_DISTANCE)
 
 

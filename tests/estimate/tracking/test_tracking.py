@@ -86,13 +86,13 @@ def small_tag(seed, frames=150):
 
 
 @pytest.mark.parametrize("seed", [6, 7, 8])
-def test_a_track_of_poses_that_may_follow_the_mirrored_ones_says_with_which_probability(seed):
+def test_poses_of_a_small_tag_are_followed_along_the_right_branch(seed):
     stamps, rotations, poses = small_tag(seed)
     track = track_poses(stamps, poses)
     wrong = so3.angle_between(track.rotations, rotations) > np.radians(10)
-    assert track.consistency.verdict == "ambiguous"
-    assert track.ambiguous
-    assert np.mean(wrong & (track.p_wrong < 0.01)) < 0.3  # all are where nothing is said
+    assert wrong.mean() < 0.05
+    singles = np.array([each.transform.rotation for each in poses])
+    assert np.mean(so3.angle_between(singles, rotations) > np.radians(10)) > 0.3  # what the frames alone say
 
 
 def test_a_track_of_poses_without_a_doubt_is_not_called_ambiguous():
@@ -227,17 +227,17 @@ def test_a_causal_track_does_not_change_when_frames_are_added():
     truth, rng = drift()
     seen = glances(truth, rng, dropped=0.1)
     short, long = (track_poses(STAMPS[:n], seen[:n], TrackOptions(Q, lag=0)) for n in (60, 90))
-    np.testing.assert_array_equal(short.translations, long.translations[:60])
-    np.testing.assert_array_equal(short.covariances, long.covariances[:60])
-    assert not long.posed[:20].any()  # until its start is settled, 25 frames later
+    np.testing.assert_allclose(short.translations, long.translations[:60], rtol=1e-12)
+    np.testing.assert_allclose(short.covariances, long.covariances[:60], rtol=1e-9)
+    assert long.posed[:20].sum() > 10
 
 
 def test_a_lag_longer_than_the_track_is_the_smoother():
     truth, rng = drift()
     seen = glances(truth, rng)
     lagged, smooth = follow(truth, seen, lag=200), follow(truth, seen)
-    np.testing.assert_allclose(lagged.translations, smooth.translations, atol=1e-12)
-    np.testing.assert_allclose(lagged.covariances, smooth.covariances, atol=1e-12)
+    np.testing.assert_allclose(lagged.translations, smooth.translations, atol=1e-6)
+    assert so3.angle_between(lagged.rotations, smooth.rotations).max() < 1e-3  # linear about the filter's rotations
 
 
 def test_a_lag_changes_nothing_that_lies_further_back():
@@ -279,12 +279,11 @@ def test_three_detections_far_apart_are_no_track():
         follow(truth, kept)
 
 
-def test_a_track_too_short_to_settle_without_look_ahead_is_none():
+def test_a_causal_track_gives_the_first_poses_at_once():
     truth, rng = drift()
     seen = glances(truth, rng)
     seen[4:] = [None] * (len(seen) - 4)
-    with pytest.raises(InsufficientData, match="no initial pose found within 0 frames"):
-        follow(truth, seen, lag=0)
+    assert follow(truth, seen, lag=0).posed[:4].all()
 
 
 def test_three_detections_are_a_track():
@@ -305,7 +304,7 @@ def test_a_still_object_is_followed_with_hardly_any_noise():
     rng = np.random.default_rng(5)
     truth = motion.drifting(STAMPS[:30], MIDDLE, (1e-16, 1e-16), rng)
     track = track_poses(truth.stamps, glances(truth, rng), TrackOptions())
-    assert track.noise.translation < 1e-4
+    assert track.noise.translation * (track.noise.fading or 1) ** 2 < 1e-4  # m²/s³
     assert rms(truth, track)[1] < 0.6 * np.linalg.norm(NOISE[3:])
 
 
