@@ -118,7 +118,7 @@ def follow_frames(
     second, forward = run.followed(best.track.motion, best.jitter_std, tune=tune)
     if lag is not None:
         return run.with_lag(forward, second, lag, noise)
-    return run.whole(forward, searched(second, flat), noise)
+    return run.whole(forward, searched(run.either_way(second, tune=tune), flat), noise)
 
 
 def _candidates(measurements: PoseMeasurements) -> Candidates:
@@ -152,7 +152,13 @@ class _Run:
 
     def followed(self, motion: FreeMotion, jitter_std: JitterStd, *, tune: bool) -> tuple[NoiseFit, Forward]:
         """Return the track that the best hypothesis leads to, from the first detection on."""
-        forward = hypotheses.followed(
+        forward = self.forward(motion, jitter_std)
+        chains, states = self._chains(forward, motion)
+        return process_noise.fit_noise(chains, motion, states, jitter_std, tune=tune), forward
+
+    def forward(self, motion: FreeMotion, jitter_std: JitterStd) -> Forward:
+        """Return the hypotheses after each frame."""
+        return hypotheses.followed(
             self.frames,
             self.candidates,
             self.stamps,
@@ -162,8 +168,28 @@ class _Run:
             max_gap=self.max_gap,
             flat=self.flat,
         )
-        chains, states = self._chains(forward, motion)
-        return process_noise.fit_noise(chains, motion, states, jitter_std, tune=tune), forward
+
+    def either_way(self, found: NoiseFit, *, tune: bool) -> NoiseFit:
+        """Return a track, or the better one that begins with what the frames say in reverse.
+
+        A pass that starts with a wrong pose has found the right one by its end.
+        """
+        chains, motion = found.track.chains, found.track.motion
+        first, count = len(self.stamps) - len(chains.used), len(self.stamps)
+        turned = replace(
+            self,
+            frames=self.frames.at(np.arange(count)[::-1]),
+            candidates=Candidates(*(part[::-1] for part in self.candidates)),
+            stamps=-self.stamps[::-1],
+        )
+        path = _Path.of(turned.forward(motion, found.jitter_std), count - 1)
+        rows = slice(0, count - path.first - first)
+        states = MotionState(*(part.copy() for part in found.track.states))
+        for whole, part in zip(states, path.states, strict=True):
+            whole[rows] = part[::-1][first:]
+        states.rates[rows, 0] *= -1
+        other = process_noise.fit_noise(chains, motion, states, found.jitter_std, tune=tune)
+        return min(found, other, key=lambda each: each.evidence)
 
     def _places(self) -> Array:
         there = self.candidates.there[:, 0]
