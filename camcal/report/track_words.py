@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.estimate.smoothing.kalman import CORRELATED, Consistency
+from camcal.estimate.smoothing.kalman import CORRELATED, UNDERCONFIDENT, Consistency
 from camcal.estimate.tracking.jitter import Jitter, JitterStd
 from camcal.estimate.tracking.track import MEASURED, REJECTED, Track
 from camcal.formats.trajectories.tracked import TrackedObject
@@ -73,6 +73,8 @@ def warnings(item: TrackedObject) -> Iterator[Message]:
         text = judged.warning.text
         for smoothing, tracking in _REMEDIES.items():
             text = text.replace(smoothing, tracking)
+        if judged.verdict == UNDERCONFIDENT and item.track.jitter_std is None:
+            text = "innovations smaller than their covariances: track the images, not their poses"
         yield replace(judged.warning, text=text)
 
 

@@ -58,8 +58,28 @@ class Searched:
         return weights / (1 + weights)
 
 
-def searched(found: NoiseFit, flat: ObjectPlane | None) -> Searched:
-    """Return the track with the stretches turned over that are better so; flat: the object's plane, if it has one."""
+def searched(found: NoiseFit, other: NoiseFit, flat: ObjectPlane | None) -> Searched:
+    """Return the track with the stretches turned over that are better so.
+
+    other: a track of the same frames from another start. flat: the object's plane, None if it has none.
+    """
+    if other.evidence < found.evidence:
+        found, other = other, found
+    result = _turned_where_better(found, flat)
+    frames = np.flatnonzero(so3.angle_between(result.found.track.states.rotations, other.track.states.rotations) > FAR)
+    rivals = _rival(result.found, frames, other.evidence - result.found.evidence)
+    return replace(result, alternatives=(*result.alternatives, *rivals))
+
+
+def _rival(found: NoiseFit, frames: Array, difference: float) -> tuple[AlternativeTrack, ...]:
+    """Return the course with another pose at some frames, and -2 ln evidence higher by a difference, if it is a rival."""
+    difference = max(difference, 0.0) / found.track.chains.frames.overstated
+    if difference > _MAX_ALTERNATIVE or not len(frames):
+        return ()
+    return (AlternativeTrack(frames, float(np.exp(-difference / 2))),)
+
+
+def _turned_where_better(found: NoiseFit, flat: ObjectPlane | None) -> Searched:
     turned = np.zeros(len(found.track.chains.used), dtype=bool)
     if flat is None:
         return Searched(found, (), turned)
@@ -126,8 +146,8 @@ class _Trials:
         for index in map(int, np.argsort(self.differences)):
             frames = self.apart(index)
             known = any(len(np.setxor1d(frames, one.frames)) <= 0.1 * len(frames) for one in result)
-            if self.differences[index] < _MAX_ALTERNATIVE and len(frames) and not known:
-                result.append(AlternativeTrack(frames, float(np.exp(-max(self.differences[index], 0.0) / 2))))
+            if not known:
+                result.extend(_rival(self.found, frames, float(self.differences[index])))
         return tuple(result)
 
 

@@ -31,8 +31,8 @@ class Chains:
     """M frames of one or more chains, one after another.
 
     frames: what they say of their poses. used: (M) whether they count. steps: (M - 1) s between frames. chains: (M)
-    numbers from 0, in order. begun: (M - 1) links over which the motion began again. unknown: (S,) variances of what is not known of it.
-    anchors: (M, S) information about states where they are now: little at a start, much at a state that is held.
+    numbers from 0, in order. begun: (M - 1) links over which the motion began again. unknown: (S,) variances of what is
+    not known of it. anchors: (M, S) information about states where they are now: little at a start, much at one held.
     jitter_std: (M, 6, 6) covariance of shakes, None if nothing shakes. groups: (M) numbers from 0, in order, of
     chains that are judged together; None for each on its own.
     """

@@ -29,9 +29,11 @@ class FrameCosts(Protocol):
     """What N frames say of their poses, in up to P parts each: the pixels of points, or one pose.
 
     coordinates: the numbers that a part measures.
+    overstated: by how much -2 ln of the evidence is too large, 1 where the likelihood is that of the measurement.
     """
 
     coordinates: ClassVar[int]
+    overstated: ClassVar[float]
 
     @property
     def there(self) -> Array:
@@ -48,7 +50,7 @@ class FrameCosts(Protocol):
         """Return the squared deviations (..., P) of the parts of frames from what poses (...) predict."""
 
     def inlier_probabilities(self, squared: Array) -> Array:
-        """Return the probabilities (..., P) that parts belong to the object, from squared deviations; 0 where none is."""
+        """Return the probabilities (..., P) that parts belong to the object, by squared deviations; 0 where none is."""
 
     def linearised(self, rotations: Array, translations: Array, temper: float = 1.0) -> tuple[Array, Array, Array]:
         """Return the cost (...) of poses, half its gradient (..., 6) and half its curvature (..., 6, 6).
@@ -73,6 +75,7 @@ class PixelFrames:
     there: Array
     floors: Array
     coordinates: ClassVar[int] = 2
+    overstated: ClassVar[float] = 1.0
 
     @classmethod
     def of(cls, camera: Camera, views: Sequence[Correspondences | None], sigma: float) -> "PixelFrames":

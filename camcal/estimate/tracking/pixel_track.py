@@ -116,9 +116,8 @@ def follow_frames(
         if abs(factor - 1) > _NOTED:
             run = replace(run, frames=frames.with_noise(factor))
     second, forward = run.followed(best.track.motion, best.jitter_std, tune=tune)
-    if lag is not None:
-        return run.with_lag(forward, second, lag, noise)
-    return run.whole(forward, searched(run.either_way(second, tune=tune), flat), noise)
+    result = searched(second, run.backwards(second, tune=tune), flat)
+    return run.whole(forward, result, noise) if lag is None else run.with_lag(forward, second, result, lag, noise)
 
 
 def _candidates(measurements: PoseMeasurements) -> Candidates:
@@ -169,27 +168,25 @@ class _Run:
             flat=self.flat,
         )
 
-    def either_way(self, found: NoiseFit, *, tune: bool) -> NoiseFit:
-        """Return a track, or the better one that begins with what the frames say in reverse.
+    def backwards(self, found: NoiseFit, *, tune: bool) -> NoiseFit:
+        """Return the track that the frames in reverse lead to, with the noise of another one to begin with.
 
-        A pass that starts with a wrong pose has found the right one by its end.
+        A pass that begins with a wrong pose has found the right one by its end.
         """
-        chains, motion = found.track.chains, found.track.motion
-        first, count = len(self.stamps) - len(chains.used), len(self.stamps)
-        turned = replace(
+        chains, count = found.track.chains, len(self.stamps)
+        reverse = replace(
             self,
             frames=self.frames.at(np.arange(count)[::-1]),
             candidates=Candidates(*(part[::-1] for part in self.candidates)),
             stamps=-self.stamps[::-1],
         )
-        path = _Path.of(turned.forward(motion, found.jitter_std), count - 1)
-        rows = slice(0, count - path.first - first)
+        path = _Path.of(reverse.forward(found.track.motion, found.jitter_std), count - 1)
+        first, last = count - len(chains.used), count - path.first  # frames with a detection before and after
         states = MotionState(*(part.copy() for part in found.track.states))
         for whole, part in zip(states, path.states, strict=True):
-            whole[rows] = part[::-1][first:]
-        states.rates[rows, 0] *= -1
-        other = process_noise.fit_noise(chains, motion, states, found.jitter_std, tune=tune)
-        return min(found, other, key=lambda each: each.evidence)
+            whole[: last - first] = part[::-1][first:]
+        states.rates[: last - first, 0] *= -1
+        return process_noise.fit_noise(chains, found.track.motion, states, found.jitter_std, tune=tune)
 
     def _places(self) -> Array:
         there = self.candidates.there[:, 0]
@@ -230,14 +227,16 @@ class _Run:
         parts = (used, states, found.spread.poses, result.p_wrong, np.zeros(len(used), dtype=bool), path.surprises)
         return self._given(found, parts, noise)
 
-    def with_lag(self, forward: Forward, found: NoiseFit, lag: int, noise: ProcessNoise | None) -> PixelTrack:
+    def with_lag(
+        self, forward: Forward, found: NoiseFit, whole: Searched, lag: int, noise: ProcessNoise | None
+    ) -> PixelTrack:
         """Return the estimate of each frame from the frames up to `lag` later ones."""
         states, covariances, p_wrong = lagged(forward, lag, FAR)
         path = _Path.of(forward, len(self.stamps) - 1)
         kinds = np.array([_best_kind(forward, frame) for frame in range(path.first, len(self.stamps))])
         shakes = process_noise.covariance_for(found.jitter_std, states.translations)
         used = (kinds == MEASURED) | (kinds == BEGUN)
-        apart = so3.angle_between(states.rotations, searched(found, self.flat).found.track.poses[0]) > FAR
+        apart = so3.angle_between(states.rotations, whole.found.track.poses[0]) > FAR
         parts = (used, states, covariances[:, POSE, POSE] + shakes, p_wrong, apart, path.surprises)
         return self._given(found, parts, noise)
 

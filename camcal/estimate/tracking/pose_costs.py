@@ -16,7 +16,6 @@ from camcal.estimate.tracking.measurements import PoseMeasurements
 from camcal.estimate.tracking.pixel_costs import WRONG
 from camcal.geometry import rotation as so3
 
-_SIDE = 8.0
 _NOWHERE = 1e3  # squared deviations of a pose that is near no minimum
 
 
@@ -36,8 +35,9 @@ class PoseFrames:
     there: Array
     floors: Array
     gates: Array
-    apart: Array
     coordinates: ClassVar[int] = 6
+    # A normal density is wide and flat where two minima meet; factor by which probabilities hold (docs/benchmarks.md).
+    overstated: ClassVar[float] = 4.0
 
     @classmethod
     def of(cls, measurements: PoseMeasurements, unknown: Array, gate: float) -> "PoseFrames":
@@ -53,7 +53,6 @@ class PoseFrames:
             there=there,
             floors=WRONG * np.exp(-volumes / 2),
             gates=np.full(there.shape, np.exp(-gate / 2)),
-            apart=np.maximum(so3.angle_between(measurements.rotations[:,:1], measurements.rotations[:,-1:]), 1e-3)**2,
         )
 
     def __len__(self) -> int:
@@ -102,11 +101,7 @@ class PoseFrames:
             rotations[..., None, :, :], translations[..., None, :], self.rotations, self.translations
         )
         pulls = (self.information @ steps[..., None])[..., 0]
-        # A minimum speaks of the poses on its own side, however wide its density is.
-        nearness = -_SIDE * (steps[..., 3:] ** 2).sum(axis=-1) / self.apart
-        nearness = np.where(np.isfinite(self.penalties), nearness, -np.inf)
-        sides = -2 * (nearness - np.logaddexp.reduce(nearness, axis=-1, keepdims=True))
-        return self.penalties + np.where(np.isfinite(sides), sides, 0) + (steps * pulls).sum(axis=-1), pulls, slopes
+        return self.penalties + (steps * pulls).sum(axis=-1), pulls, slopes
 
 
 def mirror_plane(measurements: PoseMeasurements) -> ObjectPlane | None:
