@@ -41,3 +41,9 @@ def test_single_outliers_are_not(seen):
     assert "rejected 2 (3.3 %)" in text
     assert found == {}
     assert "consistent: mean NIS" in text
+
+
+def test_poses_with_covariances_wider_than_their_errors_lead_to_the_images(seen):
+    truth, _, _ = seen
+    _, found = told(truth, glances(truth, np.random.default_rng(2), scale=0.5))
+    assert found["underconfident"].text.endswith("track the images, not their poses")

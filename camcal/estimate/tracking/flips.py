@@ -25,7 +25,7 @@ _MAX_CHI2_INCREASE = 40.0  # of χ² by which a mirrored run may be worse before
 _AROUND = 20  # frames on either side that are solved with it
 _UNSEEN = 3  # frames in a row that are a cut
 _ROUNDS = 6
-_ITERATIONS = 12
+_ITERATIONS = 30
 _MOST = 40  # runs that are solved in one round
 _PER_FRAME = 0.2  # of χ²: shorter runs are cheaper and come first
 _LARGEST = 8.0  # times the frames of the track that they may have together
@@ -72,7 +72,7 @@ def searched(found: NoiseFit, other: NoiseFit, flat: ObjectPlane | None) -> Sear
 
 
 def _rival(found: NoiseFit, frames: Array, difference: float) -> tuple[AlternativeTrack, ...]:
-    """Return the course with another pose at some frames, and -2 ln evidence higher by a difference, if it is a rival."""
+    """Return the course of another pose at some frames, of -2 ln evidence larger by a difference, if it is a rival."""
     difference = max(difference, 0.0) / found.track.chains.frames.overstated
     if difference > _MAX_ALTERNATIVE or not len(frames):
         return ()

@@ -19,7 +19,7 @@ from camcal.estimate.tracking.pixel_costs import FrameCosts
 from camcal.geometry import rotation as so3
 from camcal.solve.steps import TridiagonalFactor, factorise_tridiagonal
 
-_ITERATIONS = 20
+_ITERATIONS = 60
 _SETTLED = 1e-3  # decrease of a chain's cost that is below which no step is made
 _LOOSENED = (1e-9, 1e-6, 1e-3, 1.0)  # damping against rounding
 _TEMPERATURES = (100.0, 30.0, 10.0, 3.0, 1.0)
