@@ -45,5 +45,7 @@ def test_single_outliers_are_not(seen):
 
 def test_poses_with_covariances_wider_than_their_errors_lead_to_the_images(seen):
     truth, _, _ = seen
-    _, found = told(truth, glances(truth, np.random.default_rng(2), scale=0.5))
-    assert found["underconfident"].text.endswith("track the images, not their poses")
+    poses = glances(truth, np.random.default_rng(2), scale=0.5)
+    item = TrackedObject(track_poses(truth.stamps, poses, TrackOptions(ProcessNoise(0.02, 0.5))), poses)
+    (found,) = warnings(item, of_poses=True)
+    assert found.text.endswith("track the images, not their poses")

@@ -91,7 +91,6 @@ def follow_frames(
     flat: ObjectPlane | None,
     *,
     sigma: float | None = None,
-    shaken: bool = True,
     noise: ProcessNoise | None = None,
     lag: int | None = None,
     max_gap: float = 1.0,
@@ -99,8 +98,8 @@ def follow_frames(
     """Return the motion of an object in the frame of its poses.
 
     measurements: the poses of single frames, to start from. flat: the plane of the object. sigma: standard deviation of
-    a pixel coordinate that may be corrected, None if that of the frames holds. shaken: whether anything may vibrate.
-    noise: of the motion, None to find it out. lag: frames of look-ahead, None for all.
+    a pixel coordinate that may be corrected, None if that of the frames holds. noise: of the motion, None to find it
+    out. lag: frames of look-ahead, None for all.
     """
     distance = usual_distance(measurements)
     run = _Run(frames, _candidates(measurements), measurements.stamps, distance, max_gap, flat)
@@ -109,7 +108,7 @@ def follow_frames(
     )
     tune = noise is None
     first, _ = run.followed(motion, JitterStd(), tune=tune)
-    best = process_noise.chosen(first, distance=distance, tune=tune, shaken=shaken)
+    best = process_noise.chosen(first, distance=distance, tune=tune)
     if sigma is not None:
         factor = float(np.clip(process_noise.noise_factor(best.track, best.spread), *_NOISE_RANGE))
         factor = max(factor, _LEAST_NOISE / sigma)

@@ -117,16 +117,13 @@ def with_fading(found: NoiseFit, fading: float | None) -> tuple[Chains, FreeMoti
     return chains, motion, track.states._replace(rates=rates)
 
 
-def chosen(found: NoiseFit, *, distance: float, tune: bool = True, shaken: bool = True) -> NoiseFit:
-    """Return the best of: as it is, with the other model of the motion, and the better of both with shakes.
-
-    tune: whether the densities and the model may change. shaken: whether anything may shake.
-    """
+def chosen(found: NoiseFit, *, distance: float, tune: bool = True) -> NoiseFit:
+    """Return the best of: as it is, with the other model of the motion, and the better of both with shakes."""
     best = found
     if tune:
         chains, motion, states = with_fading(found, FADING if found.track.motion.fading is None else None)
         best = min(found, fit_noise(chains, motion, states, found.jitter_std), key=lambda each: each.evidence)
-    if shaken and not best.jitter_std.any:
+    if not best.jitter_std.any:
         track = best.track
         guess = JitterStd.guess(distance)
         tried = fit_noise(track.chains, track.motion, track.states, guess, tune=tune, rounds=_ROUNDS_SHAKEN)

@@ -158,12 +158,11 @@ def track_poses(
         PoseFrames.of(measurements, unknown, options.following.gate),
         measurements,
         mirror_plane(measurements),
-        shaken=False,
         noise=options.noise,
         lag=options.lag,
         max_gap=options.following.max_gap,
     )
-    return replace(_assembled(frames, followed, measurements, poses, options), jitter_std=None)
+    return _assembled(frames, followed, measurements, poses, options)
 
 
 def track_views(

@@ -104,7 +104,9 @@ def track(options: TrackingOptions, progress: Progress = SILENT) -> TrackReport:
         raise next(iter(lost.values()))
     outputs = _written(options, seen.images, objects)
     warnings = [
-        each.at(name) if name else each for name, item in objects.items() for each in track_words.warnings(item)
+        each.at(name) if name else each
+        for name, item in objects.items()
+        for each in track_words.warnings(item, of_poses=options.of_poses)
     ]
     warn_of(warnings, progress)
     return TrackReport(

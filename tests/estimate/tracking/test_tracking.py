@@ -127,10 +127,11 @@ def test_a_track_of_poses_without_a_doubt_is_not_called_ambiguous():
     assert track.consistency.verdict != "ambiguous"
 
 
-def test_noise_larger_than_claimed_is_called_overconfident():
+def test_noise_larger_than_claimed_is_found_as_vibration():
     truth, rng = drift()
-    judged = follow(truth, glances(truth, rng, scale=1.6)).consistency
-    assert judged.verdict == "overconfident"
+    track = follow(truth, glances(truth, rng, scale=1.6))
+    assert track.jitter_std.any
+    assert track.consistency.mean_nis == pytest.approx(1.0, abs=0.15)
 
 
 def test_missing_frames_and_outliers_are_survived_and_outliers_named():
