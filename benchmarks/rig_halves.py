@@ -207,7 +207,9 @@ def other_model(name: str, cache: Path) -> None:
     """Print the baselines by the rig's lens model and by another one that predicts about alike."""
     rig, captures = RIGS[name], shared(captures_of(name, CAMCAL, cache))
     models = rig.lens, model_named(OTHER_MODEL[rig.lens.name])
-    first, second = (camcal_rig(captures, rig.target, model, max_rejected=1.0) for model in models)
+    others = dict.fromkeys(captures.cameras, models[1])
+    first = camcal_rig(captures, rig.target, models[0], max_rejected=1.0, others=others)
+    second = camcal_rig(captures, rig.target, models[1], max_rejected=1.0)
     for camera in rig.cameras[1:]:
         (length, std), (other, _) = baseline(first, camera), baseline(second, camera)
         print(

@@ -17,8 +17,9 @@ from threading import Lock
 from typing import BinaryIO, Protocol, TextIO
 from weakref import WeakKeyDictionary
 
-from camcal import system, urls
+from camcal import folders, system, urls
 from camcal.errors import FileError, reason
+from camcal.folders import TEMPORARY
 
 STANDARD = "-"  # as a path: standard input or output
 LARGEST = 4 << 30  # bytes of a file that is read as a whole
@@ -34,7 +35,6 @@ _STARTS = (
     (".xml", re.compile(rb"\s*<[?\w]")),
 )
 _UNMISTAKABLE = (".json", ".xml")  # kinds that always begin so
-TEMPORARY = ".camcal.part-"  # how names of unfinished files begin
 _LONGEST_SUFFIX = 16
 _FULL = 1 << 16  # bytes free on a disk that counts as full
 _UMASK = Lock()
@@ -83,7 +83,8 @@ def replacing(path: Path) -> Iterator[Path]:
     What is no file but a device, a named pipe or standard output ("-") is written to when the block has succeeded.
     The file is flushed to disk before the rename, so a killed run leaves the old file or the new one, never half. What
     a killed run left of a temporary file is removed by the next one that writes into the folder.
-    Raises FileError if the folder cannot be written, and what the ledger of a run raises.
+    Raises FileError if the folder cannot be written or is another one than before (see `folders`), and what the ledger
+    of a run raises.
     """
     ledger = LEDGER.get()
     if ledger is not None:
@@ -103,10 +104,14 @@ def replacing(path: Path) -> Iterator[Path]:
                 remote.send(temporary, path)
         if ledger is not None:
             ledger.wrote(path.stat())
-    except OSError as error:
-        raise _unwritable(path, error) from error
+    except (OSError, FileError) as error:
+        folders.require_same(path.parent)  # else that is the reason
+        if isinstance(error, OSError):
+            raise _unwritable(path, error) from error
+        raise
     finally:
-        temporary.unlink(missing_ok=True)
+        with suppress(OSError):  # its folder is another one now
+            temporary.unlink(missing_ok=True)
         if handle is not None:
             os.close(handle)
 
@@ -114,7 +119,7 @@ def replacing(path: Path) -> Iterator[Path]:
 def _beside(path: Path) -> tuple[int | None, Path]:
     """Return a new temporary file beside `path`, in a folder that is made for it; see `_reserved`."""
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+        folders.prepare(path.parent)
         _sweep(path.parent.absolute())
         handle, name = _reserved(path)
     except OSError as error:
@@ -130,6 +135,7 @@ def _put(temporary: Path, path: Path) -> None:
         umask = os.umask(0)
         os.umask(umask)
     temporary.chmod(0o666 & ~umask)
+    folders.require_same(path.parent)
     temporary.replace(path)
 
 

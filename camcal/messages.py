@@ -82,6 +82,7 @@ CODES: Mapping[str, Mapping[str, str]] = {
         "board_not_flat": "--flat-board with a bent board",
         "too_few_views": "fewer than three different views with the board",
         "no_tilted_views": "the board was not tilted",
+        "screenshots": "the images are screenshots or drawings of the board, not photographs",
         "undetermined_focal_length": "the standard deviation of the focal length is too large",
         "lens_model_failed": "calibration with the best predicting lens model failed",
         "refinement_failed": "calibration with corners refined by the calibrated lens failed",

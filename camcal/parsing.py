@@ -6,6 +6,7 @@ Numbers are taken as every other program writes them: Python alone also takes 1_
 from collections.abc import Iterable
 from difflib import get_close_matches
 
+LARGEST = 1e12  # of a number in a file that nothing else limits: squares of squares of more are no numbers any longer
 _LONGEST = 400  # characters: no number that means anything has more
 _FEW = 24  # names that a message lists
 

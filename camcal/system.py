@@ -43,6 +43,44 @@ def held(path: Path) -> Iterator[None]:
 
 
 @contextmanager
+def made_and_held(path: Path) -> Iterator[None]:
+    """Keep a file that is made and locked for the block, and removed after it; raises BlockingIOError as `lock` does.
+
+    There is none where there are no locks, or where it cannot be made.
+    """
+    with ExitStack() as opened:
+        while HAS_LOCKS:
+            try:
+                handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | _WITHOUT_WAITING, 0o600)
+            except OSError:
+                break
+            opened.callback(os.close, handle)
+            try:
+                lock(handle)
+            except BlockingIOError:
+                raise
+            except OSError:  # a file system without locks
+                pass
+            if _is_at(handle, path):  # else the one that held it has removed it meanwhile
+                opened.callback(_remove, handle, path)
+                break
+        yield
+
+
+def _remove(handle: int, path: Path) -> None:
+    """Remove an open file, unless another one stands in its place."""
+    if _is_at(handle, path):
+        path.unlink()
+
+
+def _is_at(handle: int, path: Path) -> bool:
+    """Return whether a path still leads to an open file."""
+    with suppress(OSError):
+        return os.path.samestat(os.fstat(handle), path.stat())
+    return False
+
+
+@contextmanager
 def locked(folder: Path) -> Iterator[None]:
     """Keep other processes that ask for the same from a folder during the block, where the system has locks."""
     if fcntl is None:

@@ -13,6 +13,7 @@ from camcal.arrays import Array, BoolArray, FloatArray, IntArray, readonly, requ
 from camcal.brief import Brief
 from camcal.errors import InvalidInput
 from camcal.geometry.pose import Pose
+from camcal.parsing import LARGEST
 
 LAST = 3
 OPENCV, FISHEYE = "cv2", "cv2.fisheye"
@@ -233,7 +234,7 @@ class Parameter:
     spread: float = math.inf
     mean: float = 0.0
     typical: float = 0.0
-    limits: tuple[float, float] = (-math.inf, math.inf)
+    limits: tuple[float, float] = (-LARGEST, LARGEST)
     stage: int = LAST
     colour_stage: int = LAST
 

@@ -136,8 +136,8 @@ def _shape_of(kind: str) -> Check:
     fewest = BOARD_TYPES[kind].least + BOARD_TYPES[kind].border
     required = {"type": text, keys.size: items(integer(fewest), 2), **dict(keys.required.values())}
     if kind == APRILGRID:
-        required[SPACING] = number(above=0)
-    positive = dict.fromkeys((*lengths(keys.scale), *_parts(keys)), number(above=0))
+        required[SPACING] = number(positive=True)
+    positive = dict.fromkeys((*lengths(keys.scale), *_parts(keys)), number(positive=True))
     return mapping(required, positive | dict(keys.optional.values()))
 
 

@@ -23,13 +23,12 @@ from camcal import files
 from camcal.arrays import Array
 from camcal.errors import FileError, InvalidInput
 from camcal.formats.documents import Check, Fault, child
-from camcal.formats.schema import items, mapping, matrix, number, text
+from camcal.formats.schema import LARGEST_VARIANCE, STD, VARIANCE, items, mapping, matrix, text
 from camcal.images.npy import arrays_of
 from camcal.parsing import did_you_mean
 
 MAX_INLINE = 100
 STD_AGREEMENT = 0.01  # std and the matrix are two views of one number; a hand-edited one shows
-LARGEST_VARIANCE = 1e100  # and the inverse of the smallest; squares of what lies beyond are no numbers
 NEGATIVE = -1e-9  # smallest eigenvalue of the correlations: rounding to 12 digits moves it by 1e-12 · size
 
 POSITION = ("tx", "ty", "tz")
@@ -38,9 +37,9 @@ ORDER = (*POSITION, "rx", "ry", "rz")  # of the covariance of a pose
 STEPS = "R <- Exp(dr) R, t <- t + dt"
 PAIRS = tuple(combinations_with_replacement(range(len(ORDER)), 2))  # of its upper triangle, row by row
 KEYS: Mapping[str, Check] = {
-    "std": mapping({}, others=number(0)),
+    "std": mapping({}, others=STD),
     "covariance_order": items(text),
-    "covariance": items(items(number())),
+    "covariance": items(items(VARIANCE)),
     "covariance_file": text,
 }
 
@@ -68,7 +67,7 @@ def check(block: Mapping[str, Any], path: str, names: Sequence[str], fixed: Sequ
 
 def _check_matrix(block: Mapping[str, Any], path: str) -> Iterator[Fault]:
     rows, order = block["covariance"], block["covariance_order"]
-    if any(matrix(len(order), len(order))(rows, path)):
+    if any(matrix(len(order), len(order), VARIANCE)(rows, path)):
         shape = f"{len(rows)}x{len(rows[0]) if rows else 0}"
         yield Fault(path, f"covariance is {shape} but covariance_order has {len(order)} names")
         return

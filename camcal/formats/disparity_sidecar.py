@@ -170,7 +170,7 @@ def _check_calibration(value: Any, path: str) -> Iterator[Fault]:
         yield from items(table, 3)(value["variance"], child(path, "variance"))
 
 
-_POSITIVE = number(above=0.0)
+_POSITIVE = number(positive=True)
 _CHECK = mapping(
     {"schema": one_of([SCHEMA], "schema"), "scale": _POSITIVE, "invalid": one_of(INVALID_CODES, "code")},
     {

@@ -24,16 +24,15 @@ from camcal.formats.camera_file import transform_covariances
 from camcal.formats.covariance import QUATERNION, why_no_covariance
 from camcal.formats.documents import Check, Document, Fault, child, load_either
 from camcal.formats.native import check_name
-from camcal.formats.pose_text import LARGEST, Form, LoosePose, form_named
+from camcal.formats.pose_text import Form, LoosePose, form_named
 from camcal.formats.poses import plain as plain_poses
-from camcal.formats.schema import integer, items, mapping, matrix, number, one_of, text
+from camcal.formats.schema import COVARIANCE_OF_POSE, STD, integer, items, mapping, matrix, number, one_of, text
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import NamedTransform, Pose, frames_of
 
 FORMAT = "camcal-frames"
 VERSION = 1
 SUFFIXES = (".yaml", ".yml", ".json")
-LARGEST_STD = 1e50  # m, rad; its square is still a number
 COMMENT = "camcal frames. Lengths: metres; angles: radians. a_T_b takes points in b to points in a."
 
 _QUATERNIONS = (QUATERNION, ("w", "x", "y", "z"))
@@ -46,8 +45,8 @@ _ROTATIONS: Mapping[str, Check] = {
     "euler": _EULER,
     "matrix": items(items(number(), 4), 3, 4),
 }
-_UNCERTAIN: Mapping[str, Check] = {"covariance": matrix(6, 6), "std": items(number(0, LARGEST_STD), 6)}
-_TRANSFORM = mapping({}, {**_ROTATIONS, "t": items(number(-LARGEST, LARGEST), 3), **_UNCERTAIN})
+_UNCERTAIN: Mapping[str, Check] = {"covariance": COVARIANCE_OF_POSE, "std": items(STD, 6)}
+_TRANSFORM = mapping({}, {**_ROTATIONS, "t": items(number(), 3), **_UNCERTAIN})
 
 
 @dataclass(frozen=True, eq=False)

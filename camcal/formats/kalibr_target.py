@@ -31,7 +31,7 @@ from camcal.targets.board_types import (
 
 KEY = "target_type"
 
-_LENGTH = number(above=0)
+_LENGTH = number(positive=True)
 _GRID = {KEY: text, "targetCols": integer(2), "targetRows": integer(2)}
 _CHECKS = {
     "aprilgrid": mapping(

@@ -32,7 +32,7 @@ from camcal.formats.covariance import why_no_covariance
 from camcal.formats.documents import Fault, child
 from camcal.formats.native_entry import board_shape_block, check_board_shape, read_board_shape
 from camcal.formats.plausibility import implausible
-from camcal.formats.schema import VENDOR, flag, integer, items, mapping, matrix, number, plain, text
+from camcal.formats.schema import COVARIANCE_OF_POSE, VENDOR, flag, integer, items, mapping, matrix, number, plain, text
 from camcal.geometry.pose import JOINT, Pose
 from camcal.geometry.rotation import examine
 from camcal.messages import Message
@@ -48,7 +48,7 @@ FRAMES = ("imu", "body", "world", "board", "rig", "base", "gripper")
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9]*(_[A-Za-z0-9]+)*\Z")
 ORTHONORMAL = 1e-6
 
-_TRANSFORM = mapping({"R": matrix(3, 3), "t": items(number(), 3)}, {"covariance": matrix(6, 6)})
+_TRANSFORM = mapping({"R": matrix(3, 3), "t": items(number(), 3)}, {"covariance": COVARIANCE_OF_POSE})
 _JOINT = mapping({}, covariance.KEYS)
 _FILE = mapping(
     {"format": text, "version": integer(1), "cameras": mapping({}, others=native_entry.check)},

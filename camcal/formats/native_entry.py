@@ -36,7 +36,20 @@ from camcal.cameras.validity import ImageCircle
 from camcal.formats import boards, covariance
 from camcal.formats.camera_file import CalibrationNoise, CalibrationVerdict, CameraEntry, ProjectionStd, ValidRegion
 from camcal.formats.documents import Check, Fault, child
-from camcal.formats.schema import VENDOR, flag, integer, items, mapping, number, one_of, plain, text, unchecked
+from camcal.formats.schema import (
+    LARGEST_SIDE,
+    STD,
+    VENDOR,
+    flag,
+    integer,
+    items,
+    mapping,
+    number,
+    one_of,
+    plain,
+    text,
+    unchecked,
+)
 from camcal.parsing import did_you_mean, nearest
 from camcal.quality.projection_uncertainty import KnownRegion
 from camcal.targets.surface import CLASSES, CORNER_CLASSES, OFFSETS, TERMS, TIERS, Surface
@@ -45,28 +58,30 @@ FIGURES = ("rms_px", "mean_px", "median_px", "p95_px", "max_px", "chi2_per_degre
 COUNTS = ("images_used", "images_total", "points_used", "points_total", "points_rejected")
 VALID: Mapping[str, Check] = {
     "max_theta_deg": number(0, 180),
-    "max_radius_px": number(above=0),
+    "max_radius_px": number(positive=True),
     "polygon": items(items(number(), 2)),
-    "image_circle": mapping({"centre_px": items(number(), 2), "radius_px": number(above=0)}),
+    "image_circle": mapping({"centre_px": items(number(), 2), "radius_px": number(positive=True)}),
 }
 SENSOR: Mapping[str, Check] = {
-    "pixel_pitch_um": number(above=0),
-    "gain_e_per_dn": number(above=0),
+    "pixel_pitch_um": number(positive=True),
+    "gain_e_per_dn": number(positive=True),
     "read_noise_e": number(0),
-    "full_well_e": number(above=0),
+    "full_well_e": number(positive=True),
     "black_level_dn": number(0),
-    "bits": integer(1),
+    "bits": integer(1, 64),
 }
 CORE = ("fx", "fy", "cx", "cy", "skew")  # named under intrinsics; all others are named under distortion
 PROJECTION_FIGURES = ("centre_px", "rms_px", "median_px", "p95_px", "max_px", "inside_rms_px", "inside_max_px")
 
 _FOCAL = ("fx", "fy")
-_POSITIVE = number(1e-3, 1e10, above=0, hint=" (mirrored image? flip the image instead)")  # px
+_FOCAL_LENGTH = number(1e-3, 1e10, positive=True, hint=" (mirrored image? flip the image instead)")  # px
 _UNCERTAINTY = mapping(
     {},
     {
         **covariance.KEYS,
-        "projection": items(mapping({}, {"range_m": number(above=0), **dict.fromkeys(PROJECTION_FIGURES, number(0))})),
+        "projection": items(
+            mapping({}, {"range_m": number(positive=True), **dict.fromkeys(PROJECTION_FIGURES, number(0))})
+        ),
     },
 )
 
@@ -76,7 +91,7 @@ KEY_OF_CLASS = {name: name.replace(" ", "_") for name in (*CLASSES, *CORNER_CLAS
 _TERM_OF_KEY = {key: term for term, key in KEY_OF_TERM.items()}
 _CLASS_OF_KEY = {key: name for name, key in KEY_OF_CLASS.items()}
 
-_SCALE = mapping({"scale": number(0), "std": number(0)})
+_SCALE = mapping({"scale": number(0), "std": STD})
 _SHAPE = mapping(
     {
         "board": boards.check,
@@ -97,12 +112,12 @@ def _model(value: Any, path: str) -> Iterator[Fault]:
 
 
 _REGION = mapping(
-    {"limit_px": number(above=0), "share": number(0, 1), "polygon": items(items(number(), 2))},
+    {"limit_px": number(positive=True), "share": number(0, 1), "polygon": items(items(number(), 2))},
     {"of_observed": number(0, 1)},
 )
 _LENS = dict.fromkeys(("distortion", "fixed", "uncertainty"), unchecked)  # `_check_lens` looks at it
 _ENTRY = mapping(
-    {"image_size": items(integer(1), 2), "model": _model, "intrinsics": unchecked},
+    {"image_size": items(integer(1, LARGEST_SIDE), 2), "model": _model, "intrinsics": unchecked},
     {
         **_LENS,
         "configuration": mapping({}, others=plain),
@@ -255,7 +270,7 @@ def _check_names(values: Any, path: str, model: CameraModel, names: Sequence[str
     misspelt: set[str | None] = set()
     for name, value in values.items():
         if name in names:
-            yield from (_POSITIVE if name in _FOCAL else number(*model.limits[name]))(value, child(path, name))
+            yield from (_FOCAL_LENGTH if name in _FOCAL else number(*model.limits[name]))(value, child(path, name))
         else:
             misspelt.add(nearest(name, missing))
             yield Fault(child(path, name), f"model {model.name!r} has no {name!r} here{did_you_mean(name, missing)}")

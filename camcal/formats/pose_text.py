@@ -38,10 +38,9 @@ from camcal.geometry.rotation import (
     to_dual_quaternion,
     to_euler,
 )
-from camcal.parsing import is_number, parse_numbers
+from camcal.parsing import LARGEST, is_number, parse_numbers
 
 ROUNDED = 1e-3  # how far a rotation may be from one: texts have few digits
-LARGEST = 1e100  # beyond, squares overflow
 LARGEST_ANGLE = 1e6  # rad; of a larger one less than the digits of a text are left once whole turns are taken off
 FORMS = ("matrix", "quat:wxyz", "quat:xyzw", "rvec", "euler:ZYX:deg", "dual-quat", "tum", "kitti", "colmap", "ros")
 

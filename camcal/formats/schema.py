@@ -10,19 +10,24 @@ from typing import Any
 
 from camcal.formats.documents import Check, Fault, child
 from camcal.formats.emit import number_text
-from camcal.parsing import did_you_mean, nearest, parse_number
+from camcal.parsing import LARGEST, did_you_mean, nearest, parse_number
 
 VENDOR = "x_"
+SMALLEST = 1e-12  # of one that has to be positive
+LARGEST_STD = 1e50  # also of what is hardly known; its square is still a number
+LARGEST_VARIANCE = LARGEST_STD**2
+LARGEST_SIDE = 1_000_000  # px, of an image
 
 
-def number(low: float = -math.inf, high: float = math.inf, *, above: float = -math.inf, hint: str = "") -> Check:
-    """Return a check for a finite number in [low, high] and, if given, strictly above `above`, else `hint` is said."""
+def number(low: float = -LARGEST, high: float = LARGEST, *, positive: bool = False, hint: str = "") -> Check:
+    """Return a check for a finite number in [low, high]; positive: at least SMALLEST, and `hint` is said of others."""
+    low = max(low, SMALLEST) if positive else low
 
     def check(value: Any, path: str) -> Iterator[Fault]:
         if (text := _not_a_number(value)) is not None:
             yield Fault(path, text)
-        elif not value > above:
-            yield Fault(path, f"{value!r} must be > {above:g}{hint}")
+        elif positive and not value > 0:
+            yield Fault(path, f"{value!r} must be > 0{hint}")
         elif not low <= value <= high:
             yield Fault(path, f"{value!r} is outside [{low:g}, {high:g}]")
 
@@ -49,14 +54,22 @@ def _shown(value: Any) -> str:
     return "an empty value" if value is None else repr(value)
 
 
-def integer(low: int | None = None) -> Check:
-    """Return a check for a whole number of at least `low`."""
+FINITE = number(-math.inf, math.inf)
+STD = number(0, LARGEST_STD)
+VARIANCE = number(-LARGEST_VARIANCE, LARGEST_VARIANCE)
+STATISTIC = VARIANCE  # such as χ² or the condition of a matrix
+
+
+def integer(low: int = -int(LARGEST), high: int = int(LARGEST)) -> Check:
+    """Return a check for a whole number in [low, high]."""
 
     def check(value: Any, path: str) -> Iterator[Fault]:
         if not isinstance(value, int) or isinstance(value, bool):
             yield Fault(path, f"{_shown(value)} is not a whole number")
-        elif low is not None and value < low:
+        elif value < low:
             yield Fault(path, f"{value} must be at least {low}")
+        elif value > high:
+            yield Fault(path, f"{value:.6g} must be at most {high}")
 
     return check
 
@@ -83,7 +96,7 @@ def plain(value: Any, path: str) -> Iterator[Fault]:
     elif value is None:
         yield Fault(path, "an empty value; leave the key out")
     elif isinstance(value, float):
-        yield from number()(value, path)
+        yield from FINITE(value, path)
 
 
 def unchecked(_value: Any, _path: str) -> Iterator[Fault]:
@@ -116,9 +129,12 @@ def items(check: Check, *lengths: int) -> Check:
     return check_items
 
 
-def matrix(rows: int, columns: int) -> Check:
-    """Return a check for a list of `rows` lists of `columns` numbers."""
-    return items(items(number(), columns), rows)
+def matrix(rows: int, columns: int, check: Check | None = None) -> Check:
+    """Return a check for a list of `rows` lists of `columns` numbers, which pass `check`."""
+    return items(items(check or number(), columns), rows)
+
+
+COVARIANCE_OF_POSE = matrix(6, 6, VARIANCE)
 
 
 def mapping(

@@ -42,7 +42,7 @@ _LENGTH = re.compile(r"([0-9]+(?:\.[0-9]*)?|\.[0-9]+)\s*(mm|cm|m|in)\Z")
 _IDS = re.compile(r"[0-9]{1,6}(,[0-9]{1,6})*\Z")
 _POSITION = items(number(), 3)
 _KINDS: dict[str, Check] = {
-    "size": number(above=0),
+    "size": number(positive=True),
     "corners": items(_POSITION, 4),
     "translation": _POSITION,
 }

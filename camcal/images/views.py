@@ -130,6 +130,8 @@ def _is_full(trace: Trace) -> bool:
 
 def _filled(box: Array, size: tuple[int, int]) -> Camera:
     """Return the pinhole whose outermost pixel centres are the edges of a box (left, top, right, bottom) at Z = 1."""
+    if not (box[2:] - box[:2] > _NARROWEST).all():
+        raise _no_crop(size)
     focal = (np.array(size) - 1) / (box[2:] - box[:2])
     return Camera(model_named(PINHOLE), size, np.concatenate([focal, -box[:2] * focal]))
 
@@ -171,9 +173,11 @@ def _refuse_pinhole(widest: float) -> None:
     )
 
 
+_NARROWEST = 1e-12  # of a box at Z = 1: a lens of the longest focal length in pixels shows a hundred times as much
 _AROUND = np.array([(x, y) for x in (-1, 0, 1) for y in (-1, 0, 1) if (x, y) != (0, 0)], dtype=float)
 _PULL = 0.01  # of its distance from the axis that a box must gain in half its height to be moved there
 _FINE, _COARSE = 1e-7, 1e-3  # of the box: where the search for its place ends, and for its aspect
+_THIN = 0.1  # of the extent of the outline, more than from one sample to the next: where the search starts at least
 _ASPECTS = np.geomspace(1 / 3, 3, 21)  # times that of the outline
 _EVERY = 8  # samples of the outline from one to the next that tell aspects from each other
 
@@ -215,7 +219,8 @@ def _box(outline: Array, aspect: float, fine: float = _FINE) -> tuple[Array, flo
     points = outline / stretch
     low, high = points.min(axis=0), points.max(axis=0)
     middle, worth = np.zeros(2), float(np.abs(points).max(axis=1).min())
-    step, smallest = worth / 2, fine * worth
+    start = max(worth, _THIN * float((high - low).max()))  # the axis may lie on the outline
+    step, smallest = start / 2, fine * start
     while step > smallest:
         candidates = middle + step * _AROUND
         distances = np.abs(points - candidates[:, None]).max(axis=2).min(axis=1)

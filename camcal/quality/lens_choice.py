@@ -70,6 +70,16 @@ def chosen(candidates: Sequence[CandidateModel], preferred: str) -> CandidateMod
     return known if (known.map_px or 0.0) < _BETTER_KNOWN * first.map_px else first
 
 
+def alternative(candidates: Sequence[CandidateModel], used: str) -> CandidateModel | None:
+    """Return the best candidate beside the one that is used that predicts about alike and meets the criteria, None if
+    there is none.
+    """
+    own = next((each for each in candidates if each.name == used and each.scores is not None), None)
+    others = [each for each in candidates if each.name != used and each.scores is not None and not each.failures]
+    alike = [each for each in others if own is not None and not _beats(own, each, _MUCH)]
+    return max(alike, key=lambda each: each.score, default=None)
+
+
 def _beats(one: CandidateModel, other: CandidateModel, margins: Sequence[tuple[float, float]]) -> bool:
     """Return whether a candidate predicts better than another by any of the margins: nats a corner, standard errors."""
     if one.scores is None or other.scores is None:

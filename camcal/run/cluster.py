@@ -21,6 +21,7 @@ from uuid import uuid4
 
 from camcal import files, system, urls
 from camcal.errors import CamcalError, FileError, InvalidInput, ItemsFailed, reason
+from camcal.folders import TEMPORARY
 from camcal.images import limits
 from camcal.messages import Message
 from camcal.progress import Item, Outcome, Progress, Value
@@ -141,7 +142,7 @@ def _terms(batch: BatchOptions) -> Iterator[RunTerms]:
     with ExitStack() as stack:
         shared = {}
         for folder in folders:
-            mark = stack.enter_context(tempfile.NamedTemporaryFile("wb", prefix=files.TEMPORARY, dir=folder))
+            mark = stack.enter_context(tempfile.NamedTemporaryFile("wb", prefix=TEMPORARY, dir=folder))
             with suppress(OSError):  # a file system without locks, where no unlocked file is removed either
                 system.lock(mark.fileno())
             shared[str(folder)] = Path(mark.name).name

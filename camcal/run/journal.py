@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Generic
 
-from camcal import files, urls
+from camcal import files, folders, urls
 from camcal.errors import CamcalError, FileError, reason
 from camcal.progress import SILENT, Item, Outcome, Progress, Value
 from camcal.run import records
@@ -50,7 +50,7 @@ class Journal:
         """Add a line; raises FileError if it cannot be written."""
         line = f"{fingerprint}\t{urls.named(json.dumps(data, separators=(',', ':')))}\n"
         try:
-            self.path.parent.mkdir(parents=True, exist_ok=True)
+            folders.prepare(self.path.parent)
             urls.append(self.path, f"\n{line}".encode())  # after what a killed run or a full disk left of a line
         except OSError as error:
             raise FileError(f"cannot be written: {reason(error)}", where=str(self.path)) from error
@@ -63,6 +63,7 @@ class Journal:
     def remove(self) -> None:
         """Remove the file, if there is one."""
         with suppress(OSError, FileError):  # of a folder that cannot be written; the next run is not worse off
+            folders.require_same(self.path.parent)
             urls.remove(self.path)
 
 

@@ -15,7 +15,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
-from camcal import files, system, urls
+from camcal import files, folders, system, urls
 from camcal.errors import FileError, in_one_line, reason
 
 MANIFEST = ".camcal-output"
@@ -110,7 +110,7 @@ def _is_of(known: tuple[Path, Entry]) -> bool:
 @contextmanager
 def _changing(folder: Path) -> Iterator[None]:
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        folders.prepare(folder)
         with system.locked(folder), files.unwatched():
             yield
     except OSError as error:

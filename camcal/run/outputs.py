@@ -24,6 +24,7 @@ from typing import Any, ParamSpec, TypeVar
 from camcal import files
 from camcal.errors import FileError, InvalidInput, in_one_line, reason
 from camcal.files import STANDARD
+from camcal.folders import KNOWN, OutputFolders, require_writable
 from camcal.options import Declared, declared
 from camcal.run import manifest
 from camcal.run.manifest import MANIFEST, Entry
@@ -62,7 +63,10 @@ def watching(read: Iterable[Path] = ()) -> Iterator["Run"]:
     """
     known = files.LEDGER.get()
     run = known if isinstance(known, Run) else Run()
-    token = files.LEDGER.set(run)
+    token, outer = files.LEDGER.set(run), KNOWN.get()
+    own = KNOWN.set({} if outer is None else outer)
+    if run is not known and outer is not None:  # a part of another run, perhaps of another process
+        run.folders.shared = True
     try:
         for path in read:
             files.note_read(path)
@@ -71,6 +75,7 @@ def watching(read: Iterable[Path] = ()) -> Iterator["Run"]:
         files.LEDGER.reset(token)
         if run is not known:
             run.close()
+        KNOWN.reset(own)
 
 
 def claim(outputs: Iterable[Path], *, elsewhere: bool = False) -> None:
@@ -122,7 +127,7 @@ class Run:
         self.named: set[Path] = set()
         self.unlisted: set[Path] = set()
         self.owned: list[Path] = []
-        self.new_folders: list[Path] = []
+        self.folders = OutputFolders()
         self.intact: dict[Path, Entry] = {}
         self.shortened: set[Path] = set()
         self.made: dict[Path, Entry] = {}
@@ -158,8 +163,9 @@ class Run:
         self._refuse_input(path)
         if is_folder(each, path):
             require_folder(path, each.name)
+            self.folders.options[path] = each.name
             if not self.resume:  # where nothing is left to do, nothing is written
-                _require_writable(path / MANIFEST)
+                require_writable(path / MANIFEST)
             return
         check = self.plan_named if named else self.plan
         check(path)
@@ -172,6 +178,7 @@ class Run:
     def claim(self, outputs: Iterable[Path], *, elsewhere: bool) -> None:
         """Check outputs and list them in their folders; see the function of this name."""
         paths = [path for path in outputs if str(path) != STANDARD]
+        self._hold_folders(paths)
         self._examine(paths)
         for path in paths:
             self.plan(path)
@@ -185,16 +192,22 @@ class Run:
         with files.unwatched():
             if place in self.planned:
                 return
+            self._hold_folders([path])
             if any(folder in place.parents for folder in self.owned):
                 self.unlisted.add(place)
             found = _status(path)
             if found is not None:
                 self._require_replaceable(path, found)
             if found is None or (stat.S_ISREG(found.st_mode) and place not in self.intact):
-                _require_writable(path)
+                require_writable(path)
             self.planned[place] = found and _version(found)
             if found is not None:
                 self.replaced.add(_id(found))
+
+    def _hold_folders(self, paths: Iterable[Path]) -> None:
+        """Keep other runs, until this one ends, from the output folders that some files go to; raises FileError."""
+        if self.folders.hold_above(paths):
+            self._lists.clear()  # another run may have written there since
 
     def _require_replaceable(self, path: Path, found: os.stat_result) -> None:
         if stat.S_ISDIR(found.st_mode):
@@ -279,7 +292,7 @@ class Run:
                 stays = place in self.shortened or (self.resume and place in self.intact)
                 folders.setdefault(path.parent, {})[path.name] = self._entry(path) if stays else None
         for folder in {path.parent for path in paths}:
-            self.new_folders += [each for each in (folder, *folder.parents) if not each.exists()]
+            self.folders.note_new(folder)
         for folder, names in folders.items():
             manifest.change(folder, names)
             self._lists.pop(folder.absolute(), None)
@@ -314,9 +327,7 @@ class Run:
             if folder.is_dir() and (added or (folder / MANIFEST).is_file()):
                 with suppress(FileError):  # a folder that became read-only; what was written is there
                     manifest.change(folder, added, removed)
-        for folder in sorted(self.new_folders, key=lambda each: len(each.parts), reverse=True):
-            with suppress(OSError):  # something is in it
-                folder.rmdir()
+        self.folders.close()
 
     def _has_to_be_listed(self, path: Path) -> bool:
         """Return whether an output is there, new or camcal's before, and carries no mark of its own that would do."""
@@ -365,17 +376,6 @@ def changed(path: Path) -> InvalidInput:
 
 def _foreign(path: Path, why: str) -> InvalidInput:
     return InvalidInput(f"exists and {why}; use --overwrite or another output", where=str(path))
-
-
-def _require_writable(path: Path) -> None:
-    """Raise FileError if a file cannot be made in its folder, or the folder cannot."""
-    folder = path.parent
-    while not os.path.lexists(folder) and folder.parent != folder:
-        folder = folder.parent
-    if not folder.is_dir():
-        raise FileError(f"cannot be written: {folder} is not a folder", where=str(path))
-    if not os.access(folder, os.W_OK | os.X_OK):
-        raise FileError(f"cannot be written: no permission to write into {folder.absolute()}", where=str(path))
 
 
 def _status(path: Path) -> os.stat_result | None:

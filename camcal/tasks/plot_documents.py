@@ -4,7 +4,7 @@ import numpy as np
 
 from camcal.errors import InvalidInput
 from camcal.formats.documents import Check, Document
-from camcal.formats.schema import flag, items, mapping, number, text, unchecked
+from camcal.formats.schema import FINITE, flag, items, mapping, number, text, unchecked
 from camcal.report.figures.calibration import matrix_plot
 from camcal.report.figures.curves import parameter_errors
 from camcal.report.figures.figure import Plot
@@ -12,10 +12,8 @@ from camcal.report.figures.sensor import PHASES, PhotonTransfer, TransferCurve, 
 
 SENSOR, FIT = "camcal-sensor", "camcal-fit"
 
-_VALUE = mapping({"value": number(above=0)}, others=unchecked)
-_CURVE = mapping(
-    {"signal_dn": items(number()), "variance_dn2": items(number()), "fitted": items(flag)}, others=unchecked
-)
+_VALUE = mapping({"value": number(positive=True)}, others=unchecked)
+_CURVE = mapping({"signal_dn": items(FINITE), "variance_dn2": items(FINITE), "fitted": items(flag)}, others=unchecked)
 _SENSOR = mapping(
     {
         "figures": mapping({"gain_dn_per_e": _VALUE, "read_noise_e": _VALUE, "full_well_e": _VALUE}, others=unchecked),
@@ -24,7 +22,7 @@ _SENSOR = mapping(
     },
     others=unchecked,
 )
-_ESTIMATE = mapping({"value": number()}, {"std": number(0)}, others=unchecked)
+_ESTIMATE = mapping({"value": FINITE}, {"std": FINITE}, others=unchecked)
 _FIT = mapping(
     {
         "model": text,

@@ -107,6 +107,21 @@ def test_covariance_covers_lenses_and_transforms_with_their_correlations(result)
     assert abs(covariance[tuple(index)]) > 0.3 * stds[index[0]] * stds[index[1]]
 
 
+def test_a_lens_model_that_could_be_right_as_well_widens_the_interval_by_half_the_square(rig, captures, result):
+    other = model_named("kannala_brandt4")
+    wider = solve(captures, rig, others=dict.fromkeys(captures.cameras, other))
+    instead = calibrate_rig(captures, rig.board, RigOptions(dict.fromkeys(captures.cameras, other)))
+    for name in ("left", "right"):
+        np.testing.assert_array_equal(wider.poses[name].translation, result.poses[name].translation)
+    added = wider.covariance - result.covariance
+    lens = [index for index, name in enumerate(result.names) if "_T_" not in name]
+    assert not added[lens].any()
+    ours, theirs = result.poses["right"], instead.poses["right"]
+    moved = np.concatenate([theirs.translation - ours.translation, so3.log(theirs.rotation @ ours.rotation.T)])
+    expected = 0.5 * np.outer(moved, moved)
+    np.testing.assert_allclose(covariance_of(wider) - covariance_of(result), expected, atol=0.1 * expected.max())
+
+
 def test_order_of_captures_does_not_matter(rig, captures, result):
     again = solve(captures.take([5, 2, 7, 0, 1, 6, 3, 4]), rig)
     np.testing.assert_allclose(errors_of(again, rig), errors_of(result, rig), atol=1e-9)

@@ -85,3 +85,11 @@ def test_an_item_that_hangs_is_stopped_and_the_others_are_as_ever(run, folder):
     expected = written(folder / "all")
     del expected["1.png"]
     assert written(folder / "out") == expected
+
+
+@pytest.mark.parametrize("url", ["dask://a:b@127.0.0.1:80", "dask://127.0.0.1:65536", "dask://[::1:80", "dask://:80"])
+def test_a_scheduler_has_a_host_and_a_port_and_no_password(run, folder, url):
+    code, _, err = run("undistort", "lens.yaml", "photos", "-o", "out", "--scheduler", url)
+    assert code == 2
+    assert "dask://HOST:PORT, dask+tls://HOST:PORT or dask://local" in err
+    assert not (folder / "out").exists()

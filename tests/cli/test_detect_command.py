@@ -1,6 +1,7 @@
 """`camcal detect`: what it prints, and its exit codes."""
 
 import json
+import shutil
 
 import cv2
 import numpy as np
@@ -221,10 +222,44 @@ def test_of_many_images_those_without_corners_are_listed(run, folder, tmp_path, 
     assert "board.png" in run(*arguments, "--verbose")[1]
 
 
-def test_a_board_printed_white_on_black_is_said(run, tmp_path):
-    board = "charuco:6x4:40mm:30mm:DICT_4X4_50"
+@pytest.mark.parametrize(
+    ("board", "line"),
+    [
+        ("charuco:6x4:40mm:30mm:DICT_4X4_50", "board printed inverted, white on black, in 1 image"),
+        ("chessboard:6x5:25mm", "board with a dark margin, as if printed inverted, white on black, in 1 image"),
+    ],
+)
+def test_a_board_printed_white_on_black_is_said(run, tmp_path, board, line):
     assert run("board", board, "-o", tmp_path / "board.png", "--dpi", 100)[0] == 0
     cv2.imwrite(str(tmp_path / "board.png"), 255 - cv2.imread(str(tmp_path / "board.png"), cv2.IMREAD_GRAYSCALE))
     code, out, _ = run("detect", tmp_path / "board.png", "--board", board, "-o", tmp_path / "corners.csv")
     assert code == 0
-    assert "board printed inverted, white on black, in 1 image\n" in out
+    assert f"{line}\n" in out
+
+
+@pytest.mark.parametrize(
+    ("board", "tried", "words"),
+    [
+        ("chessboard:6x5:25mm", 40, "chessboard of 6x5 inner corners"),
+        ("charuco:6x5:30mm:22mm:DICT_4X4_50", 16, "ChArUco board of 6x5 squares"),
+        ("aprilgrid:4x3:40mm:0.3", 10, "AprilGrid of 4x3 tags"),
+        ("circles:7x6:25mm:15mm", 16, "grid of 7x6 circles"),
+        ("asymmetric_circles:4x11:20mm:15mm", 16, "asymmetric grid of 4x11 circles"),
+    ],
+)
+def test_one_of_a_few_images_that_are_spread_evenly_must_show_the_board(run, tmp_path, board, tried, words):
+    assert run("board", board, "-o", tmp_path / "board.png", "--dpi", 60)[0] == 0
+    cv2.imwrite(str(tmp_path / "wall.png"), np.full_like(cv2.imread(str(tmp_path / "board.png"), 0), 110))
+    images = tmp_path / "images"
+    images.mkdir()
+    for index in range(2 * tried):
+        shutil.copy(tmp_path / "wall.png", images / f"{index}.png")
+    arguments = ("detect", images, "--board", board, "-o", tmp_path / "corners.csv", "--jobs", 1)
+    shutil.copy(tmp_path / "board.png", images / "3.png")  # every second image is searched
+    code, _, err = run(*arguments)
+    assert code == 4
+    assert f"no {words} in any of {tried} images tested of {2 * tried} ({tried} times: " in err
+    assert err.endswith("and the images, or give only images that show the board\n")
+    assert run("detect", images / "3.png", *arguments[2:])[0] == 0
+    shutil.copy(tmp_path / "board.png", images / "2.png")
+    assert "2 of " in run(*arguments, "--overwrite")[1]

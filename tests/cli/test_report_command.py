@@ -254,7 +254,7 @@ def damaged(kind, page):
         ("option", 2, "options.outputs: unknown option"),
         ("value", 2, "nan is not a number"),
         ("type", 2, "options.flat_board: 'yes' is not a value of this option"),
-        ("guess", 3, "not a YAML mapping"),
+        ("guess", 3, "report.html: --guess: not a YAML mapping"),
         ("table", 3, "damaged: the detections"),
         ("base64", 3, "damaged: the detections cannot be unpacked"),
     ],

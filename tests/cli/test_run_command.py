@@ -546,3 +546,39 @@ def test_only_options_that_say_how_a_step_works_do_not_count():
     options = [each for record in StepCommands().values() for each in declared(record)]
     how = {"--jobs", "--overwrite", "--timeout", "--fail-fast", "--resume", "--scheduler"}
     assert {each.name for each in options if not counts(each)} == how
+
+
+SPELLED = """\
+steps:
+  second:
+    command: convert
+    arguments: [{}, {}]
+  first:
+    command: convert
+    arguments: [{}, ../results/first.xml]
+"""
+LENS, SECOND = "../work/camera.yaml", "../results/second.yaml"
+
+
+@pytest.mark.parametrize("spelled", ["../results/first.xml", "../work/../results/first.xml", "linked/first.xml"])
+def test_paths_may_lead_out_of_the_folder_and_be_spelled_in_any_way(states, folder, spelled):
+    (folder.parent / "results").mkdir()
+    (folder / "linked").symlink_to(folder.parent / "results")
+    text = SPELLED.format(spelled, SECOND, LENS)
+    assert states(text=text) == (0, {"first": "done", "second": "done"})
+    assert (folder.parent / "results" / "second.yaml").is_file()
+    assert states() == (0, {"first": "up_to_date", "second": "up_to_date"})
+
+
+@pytest.mark.parametrize(
+    ("paths", "message"),
+    [
+        ((LENS, "../work/../results/first.xml", LENS), "is written by step second too; give each a place of its own"),
+        (("../work/../work/absent.xml", SECOND, LENS), "../work/../work/absent.xml: no such file"),
+        (("../results/first.xml", SECOND, "../work/../results/second.yaml"), "each needs the result of the one before"),
+    ],
+)
+def test_what_is_wrong_with_files_is_found_however_they_are_spelled(states, folder, paths, message):
+    code, err = states(text=SPELLED.format(*paths))
+    assert code == 2
+    assert message in err

@@ -13,7 +13,7 @@ from camcal.formats.documents import Fault, load, parse
 from camcal.formats.schema import flag, integer, items, mapping, number, one_of, text
 
 SCHEMA = mapping(
-    {"size": items(integer(1), 2), "lens": mapping({"fx": number(above=0)}, {"k1": number(-1, 1)})},
+    {"size": items(integer(1), 2), "lens": mapping({"fx": number(positive=True)}, {"k1": number(-1, 1)})},
     {"name": text, "fixed": flag, "unit": one_of(("metres", "squares"), "unit")},
 )
 GOOD = "size: [640, 480]\nlens: {fx: 500.5}\n"

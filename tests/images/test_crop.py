@@ -71,3 +71,12 @@ def test_a_box_stays_on_the_axis_where_moving_gains_nothing():
 @pytest.mark.parametrize(("aspect", "expected"), [(1.0, [-3, -3, 3, 3]), (6.0, [-6, -1, 6, 1]), (3.0, [-3, -1, 3, 1])])
 def test_an_enclosing_box_grows_to_its_shape_about_the_middle(aspect, expected):
     np.testing.assert_allclose(enclosing_box(polygon([[-3, -1], [3, -1], [3, 1], [-3, 1]]), aspect), expected)
+
+
+@pytest.mark.parametrize("inset", [0.0, 1e-300, 1e-9, 1e-4, 0.3])
+def test_the_largest_box_is_found_wherever_the_axis_lies(inset):
+    """On the outline or next to it the search once took a step of that distance, or none, again and again."""
+    along, down = np.linspace(0, 2, 81), np.linspace(-1, 1, 81)
+    outline = np.array([(x, y) for x in along for y in (-1, 1)] + [(x, y) for y in down for x in (0, 2)])
+    box = largest_box(outline - (inset, 0.0), 1.0)
+    np.testing.assert_allclose(box, [-inset, -1, 2 - inset, 1], atol=0.02)

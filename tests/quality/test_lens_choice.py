@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from camcal.calibrate.intrinsics import CandidateModel
-from camcal.quality.lens_choice import chosen, rank_models
+from camcal.quality.lens_choice import alternative, chosen, rank_models
 
 VIEWS, CORNERS = 10, 100
 
@@ -52,6 +52,22 @@ def test_a_lens_that_predicts_clearly_worse_is_not_used_however_well_it_is_known
     # views that agree: by 0.02 nat a corner is enough
     default, other = candidate("default", 1.0, 20.0), candidate("other", 1.0 - worse, 0.2)
     assert chosen([default, other], "default").name == taken
+
+
+@pytest.mark.parametrize(("worse", "found"), [(0.01, "other"), (0.0199, "other"), (0.021, None), (0.04, None)])
+def test_an_alternative_predicts_about_alike(worse, found):
+    used, other = candidate("used", 1.0, 2.0), candidate("other", 1.0 - worse, 2.0)
+    assert getattr(alternative([used, other], "used"), "name", None) == found
+
+
+def test_the_best_alternative_that_passes_is_found():
+    used, good, better = (
+        candidate(name, score, 2.0) for name, score in [("used", 1.0), ("good", 0.985), ("best", 0.99)]
+    )
+    failed = candidate("failed", 1.0, 2.0, failures=("known_region",))
+    assert alternative([good, failed, better, used], "used").name == "best"
+    assert alternative([used, failed], "used") is None
+    assert alternative([good], "used") is None
 
 
 def test_models_that_pass_come_first_then_those_that_do_not_then_those_without_a_score():

@@ -6,6 +6,8 @@ Chromium draws with software here; that other browsers and graphics cards agree 
 import json
 import re
 import zlib
+from base64 import b64encode
+from hashlib import sha256
 
 import numpy as np
 import pytest
@@ -37,6 +39,17 @@ def test_the_same_cloud_gives_the_same_bytes():
 def test_the_page_names_no_other_file():
     text = page(scene_of(*two_squares()), "two", Start("image"))
     assert not re.search(r"https?://|src=|href=|@import|url\(", text)
+
+
+def test_the_page_allows_its_own_script_and_style_and_no_other():
+    text = page(scene_of(*two_squares()), "two", Start("image"))
+    policy = re.search(r'Content-Security-Policy" content="(.*?)"', text)[1]
+    allowed = re.findall(r"(script|style)-src 'sha256-(.*?)'", policy)
+    elements = re.findall(r'<(script|style)(?: type="module")?>(.*?)</', text, re.DOTALL)
+    hashes = [(name, b64encode(sha256(content.encode()).digest()).decode()) for name, content in elements]
+    assert sorted(allowed) == sorted(hashes)
+    assert len(hashes) == 2
+    assert "unsafe" not in policy
 
 
 def test_a_title_is_text_whatever_it_holds():

@@ -6,6 +6,7 @@ import sys
 import time
 from pathlib import Path
 
+from camcal import files
 from camcal.errors import FileError
 
 HANG_S = 60.0  # longer than any test waits: only a stop ends it
@@ -104,3 +105,7 @@ def greedy(path: Path) -> int:
     if path.name == "b.png":
         np.empty(1 << 60, np.uint8)
     return len(str(path))
+
+
+def write_image(path: Path) -> None:
+    files.write_bytes(path, b"an image")

@@ -60,6 +60,11 @@ def test_another_board_is_told_by_its_squares_markers_and_dictionary(drawn, aske
     assert not is_like(layout, wanted)
 
 
+def test_another_board_that_is_printed_white_on_black_is_told():
+    layout = search_charuco(255 - shown(BOARD), parse_board("charuco:7x6:30mm:22mm:DICT_4X4_50"))
+    assert is_like(layout, replace(BOARD, dictionary="DICT_5X5_50"))
+
+
 @pytest.mark.parametrize("asked", ["7x6", "6x7"])
 def test_the_board_itself_is_no_other_board(asked):
     wanted = parse_board(f"charuco:{asked}:30mm:21mm:DICT_5X5_100")

@@ -14,7 +14,7 @@ from drawn import picture, pose, truth, upright
 
 from camcal.errors import InvalidInput
 from camcal.targets.board import Board, parse_board
-from camcal.targets.checker.charuco import arrangements
+from camcal.targets.checker.charuco import arrangement_votes, arrangements
 from camcal.targets.detect import detect
 
 ODD = Board("chessboard", 6, 5)  # colours tell the ends apart
@@ -189,11 +189,40 @@ def test_the_arrangements_of_a_board_begin_with_itself_and_hold_no_pair_alike():
     assert len(arrangements(parse_board("charuco:5x5:40mm:30mm:DICT_4X4_50"))) == 1
 
 
+@pytest.mark.parametrize("drawn", [CHARUCO, LEGACY], ids=["current", "legacy"])
+def test_markers_speak_for_the_arrangement_of_a_board_as_drawn_and_as_printed_inverted(drawn):
+    candidates = arrangements(replace(CHARUCO, legacy=None))
+    for image in (view(drawn), 255 - view(drawn)):
+        votes = arrangement_votes(image, candidates)
+        assert candidates[int(votes.argmax())] == drawn
+        assert votes.sum() == votes.max()
+
+
 def test_a_charuco_board_printed_white_on_black_is_read_and_said_to_be():
     image = view(CHARUCO)
     straight, inverted = detect(image, CHARUCO), detect(255 - image, CHARUCO)
     assert (straight.inverted, inverted.inverted) == (False, True)
     assert_seen(inverted, straight.pixels, straight.ids, atol=0.1)
+
+
+@pytest.mark.parametrize("board", [ODD, EVEN], ids=["odd", "even"])
+def test_a_chessboard_printed_white_on_black_is_read_and_said_to_be(board):
+    image = view(board)
+    straight, inverted = detect(image, board), detect(255 - image, board)
+    assert (straight.inverted, inverted.inverted) == (False, True)
+    pixels = straight.pixels[::-1] if board is ODD else straight.pixels  # its dark end is the other one
+    assert_seen(inverted, pixels, atol=0.1)
+
+
+@pytest.mark.parametrize(("hidden", "inverted"), [(1, True), (2, False)])
+def test_a_chessboard_is_printed_white_on_black_where_three_sides_end_with_black(hidden, inverted):
+    image = 255 - view(ODD)
+    for y in [(-1.7, -1.0), (ODD.rows, ODD.rows + 0.7)][:hidden]:
+        strip = np.array([(-1.7, y[0]), (ODD.columns + 0.7, y[0]), (ODD.columns + 0.7, y[1]), (-1.7, y[1])])
+        corners = np.column_stack([strip / (ODD.columns - 1, ODD.rows - 1), np.ones(4)]) @ TILTED.T
+        cv2.fillConvexPoly(image, np.rint(corners[:, :2] / corners[:, 2:]).astype(int), 130)
+    detection = detect(image, ODD)
+    assert (detection.found, detection.inverted) == (True, inverted)
 
 
 def test_a_mirrored_charuco_image_says_so():

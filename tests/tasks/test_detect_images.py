@@ -196,7 +196,10 @@ def test_other_boards_are_tried_on_a_few_images_only(tmp_path, monkeypatch):
     monkeypatch.setattr(which_board, "search_charuco", lambda gray, like: tried.append(like))
     for index in range(20):
         write_wall(tmp_path / f"{index}.png", (64, 48))
-    with pytest.raises(InsufficientData, match="in any of 20 images"):
+    with pytest.raises(
+        InsufficientData,
+        match=r"in any of 16 images tested of 20 .* no other ChArUco board in 6 of them; check squares",
+    ):
         found(tmp_path, CHARUCO)
     assert 0 < len(tried) <= which_board.SAMPLE
 

@@ -12,9 +12,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from report_scenes import SCENES, detections_of
 
 from camcal import files
 from camcal.errors import FileError, InvalidInput
+from camcal.formats import detections
 from camcal.formats.covariance import why_no_covariance
 from camcal.formats.documents import parse_json
 from camcal.formats.tables import MAX_LINES, Table, cell, csv_rows, numbered_lines
@@ -174,13 +176,13 @@ def test_no_cell_begins_like_a_formula_and_all_are_read_back(text):
 
 
 def test_control_characters_of_names_do_not_reach_the_terminal(tmp_path):
-    odd = tmp_path / "a\x1b[31m\u202eb.png"
+    odd = tmp_path / "a\x1b[31m\u202e\u200b\u2060b.png"
     odd.write_bytes(b"nothing")
     done = camcal("detect", odd, "-b", "chessboard:7x5:25mm", "-o", tmp_path / "d.csv", "--jobs", "1")
     assert done.returncode == 3
     assert len(done.stderr.splitlines()) == 1
     assert "\x1b" not in done.stderr
-    assert r"a\x1b[31m\u202eb.png" in done.stderr
+    assert r"a\x1b[31m\u202e\u200b\u2060b.png" in done.stderr
 
 
 def test_a_name_with_a_line_break_costs_that_image_only(tmp_path):
@@ -214,19 +216,37 @@ def test_a_link_to_itself_and_a_name_that_is_too_long_are_file_errors(tmp_path):
         assert len(done.stderr.splitlines()) == 1
 
 
+def limited_to(kilobytes):
+    return lambda: resource.setrlimit(resource.RLIMIT_AS, (kilobytes << 10, kilobytes << 10))
+
+
 def test_running_out_of_memory_says_how_much_was_asked_for(tmp_path):
     np.save(tmp_path / "a.npy", np.zeros((6000, 9000), np.uint16))
-
-    def limit():
-        resource.setrlimit(resource.RLIMIT_AS, (1100 << 20, 1100 << 20))
-
     arguments = ("demosaic", tmp_path / "a.npy", "-o", tmp_path / "a.tiff", "--pattern", "RGGB", "--trust-pattern")
-    done = camcal(*arguments, "--jobs", "1", preexec_fn=limit)
+    done = camcal(*arguments, "--jobs", "1", preexec_fn=limited_to(1100 << 10))
     assert done.returncode == 3, done.stderr
     assert "out of memory: " in done.stderr
     assert "llocate" in done.stderr
     assert len(done.stderr.splitlines()) == 1
     assert [path.name for path in tmp_path.iterdir()] == ["a.npy"]
+
+
+@pytest.mark.parametrize("kilobytes", [300_000, 580_000, 655_000])
+def test_an_address_space_too_small_for_the_libraries_is_one_line_before_they_load(tmp_path, kilobytes):
+    done = camcal("inspect", tmp_path / "none.yaml", preexec_fn=limited_to(kilobytes))
+    assert done.returncode == 3, done.stderr
+    assert f"limited to {kilobytes} kB (ulimit -v); camcal needs at least 655360 kB" in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kilobytes", [655_360, 700_000, 900_000, 1_200_000, 1_500_000])
+def test_a_calibration_in_little_memory_ends_with_a_result_or_one_line(tmp_path, kilobytes):
+    detections.write(tmp_path / "views.csv", detections_of(SCENES["good"]))
+    arguments = ("calibrate", tmp_path / "views.csv", "-o", tmp_path / "camera.yaml")
+    done = camcal(*arguments, preexec_fn=limited_to(kilobytes), timeout=100)
+    assert done.returncode in {0, 3}, done.stderr
+    assert done.returncode == 0 or len(done.stderr.splitlines()) == 1
 
 
 def test_a_file_that_cannot_grow_leaves_the_old_one(tmp_path):

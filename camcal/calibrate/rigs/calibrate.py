@@ -13,7 +13,7 @@ from camcal.calibrate.intrinsics import Calibration, Solved
 from camcal.calibrate.rigs.captures import Captures
 from camcal.calibrate.rigs.effects import SHIFT
 from camcal.calibrate.rigs.epipolar import epipolar_by_capture
-from camcal.calibrate.rigs.fit import RigFit, RigStart, fit_rig
+from camcal.calibrate.rigs.fit import RigFit, RigStart, fit_rig, with_other_models
 from camcal.calibrate.rigs.links import Link, Placed, link, place
 from camcal.calibrate.rigs.mistakes import Mistakes, RigCamera, mistakes
 from camcal.calibrate.rigs.orientation import composed
@@ -58,6 +58,9 @@ def calibrate_rig(captures: Captures, board: Board, options: RigOptions) -> RigC
         ) from error
     if not result.plain.converged:
         raise NotConverged(f"rig calibration not converged after {result.plain.passes} passes: add captures")
+    others = [options.others.get(name) for name in linked.names]
+    if any(others):
+        result = with_other_models(result, others, [start.solved.size for start in linked.starts])
     return _record(
         result, linked, tuple(captures.names[index] for index in used), _left_out(captures, cameras, linked), found
     )

@@ -26,7 +26,10 @@ from camcal.calibrate.rigs.links import CameraPoses, Placed, motions
 from camcal.calibrate.rigs.orientation import best_turns_of_captures, composed, turned
 from camcal.calibrate.rigs.problem import LensPrior, RigProblem, RigState
 from camcal.calibrate.shape import hold_to_print
+from camcal.cameras.model import Camera, CameraModel
+from camcal.cameras.refit import refit
 from camcal.cameras.reprojection import by_pose
+from camcal.errors import InsufficientData
 from camcal.geometry import rotation as so3
 from camcal.solve.descent import Stopping
 from camcal.solve.least_squares import assemble, minimise
@@ -130,6 +133,34 @@ def fit_rig(
         following = _with_effects(estimates[-1], effects)
         estimates += [following] if following is not None and following.converged else []
     return _averaged(tuple(estimates), share, turns, [start.solved.size for start in starts])
+
+
+def with_other_models(fit: RigFit, models: Sequence[CameraModel | None], sizes: Sequence[tuple[int, int]]) -> RigFit:
+    """Return a solution whose covariance tells that its lenses could as well have other models, None: as they have.
+
+    Either is right with the same probability: half the square of how far the poses of the cameras move with the others.
+    Source: Burnham & Anderson, Model Selection and Multimodel Inference, 2002, section 4.3.2 (unconditional variance).
+    """
+    plain, parts, lenses = fit.plain, list(fit.problem.parts), list(fit.plain.state.lenses)
+    for camera, (model, size) in enumerate(zip(models, sizes, strict=True)):
+        if model is not None:
+            lenses[camera] = refit(Camera(parts[camera].model, size, lenses[camera]), model).camera.parameters
+            spread = model.prior_std(size, float(lenses[camera][0]))
+            parts[camera] = replace(parts[camera], model=model, free=np.arange(len(spread)), lens_spread=spread)
+    problem, state = plain.problem.with_parts(parts), replace(plain.state, lenses=tuple(lenses))
+    try:
+        state = minimise(_robust(problem, state), state, _ROUGH).state
+        other = estimate_rig(problem, state, plain.additional, plain.known, plain.board, motion=plain.motion)
+    except (SingularError, InsufficientData, np.linalg.LinAlgError):
+        return fit
+    if not other.converged:
+        return fit
+    turns = other.state.camera_rotations @ plain.state.camera_rotations.transpose(0, 2, 1)
+    moves = np.hstack([other.state.camera_translations - plain.state.camera_translations, so3.log(turns)])
+    change = np.zeros(len(fit.covariance))
+    for camera, move in enumerate(moves[1:], start=1):
+        change[plain.problem.pose_columns(camera)] = move
+    return replace(fit, covariance=fit.covariance + 0.5 * np.outer(change, change))
 
 
 def _with_effects(start: RigEstimate, effects: tuple[str, ...]) -> RigEstimate | None:

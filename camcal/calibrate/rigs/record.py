@@ -23,7 +23,8 @@ class RigOptions:
 
     lenses: joint estimates them with the rig; fixed holds the `given` cameras; prior starts at them, with their
     covariances as prior. given: by the names of cameras. motion: whether the board may have moved between the exposures
-    of a capture, None: where the data show it.
+    of a capture, None: where the data show it. others: lens models that predict about alike, by the names of cameras;
+    how far the poses of the cameras move with them counts as uncertainty.
     """
 
     models: Mapping[str, CameraModel]
@@ -32,6 +33,7 @@ class RigOptions:
     shape: ShapeOptions = field(default_factory=ShapeOptions)
     max_rejected: float = 0.1
     motion: bool | None = None
+    others: Mapping[str, CameraModel] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

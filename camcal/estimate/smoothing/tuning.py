@@ -23,6 +23,7 @@ _DECADES = 5  # how far from the initial value noise is searched for, to either 
 _TOLERANCE = 0.01  # of a logarithm: 1 % of q, less than any series tells
 _ROUGH = 0.1  # the same where a better search follows
 _ROUNDS = 2
+_LEAST = 1e-50  # of a difference that tells of noise: the square of less is next to none
 _NEARLY_SETTLED = 5e-3  # of a weight: enough to compare noises
 
 
@@ -186,7 +187,7 @@ def measured_noise(values: Array, order: int, what: str = "measurements") -> flo
     deviations = []
     for column in values.T:
         differences = np.abs(np.diff(column[np.isfinite(column)], order))
-        differences = differences[differences > 0]
+        differences = differences[differences > _LEAST]
         if len(differences):
             deviations.append(np.median(differences) / (0.6745 * gain))
     if not deviations:

@@ -14,13 +14,13 @@ from camcal.cameras.catalogue import MODELS
 from camcal.cameras.model import Camera
 from camcal.errors import InvalidInput
 from camcal.formats.documents import Document, Fault, child
+from camcal.formats.schema import LARGEST_SIDE
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
 from camcal.messages import Message
 from camcal.parsing import parse_number
 
 ROUNDED = 1e-4  # orthonormality error of rotations that other programs have rounded
-LARGEST_SIDE = 1_000_000
 
 _EXACT = 1e-6
 _CHANNELS = {"d", "f", "i", "u", "w", "s", "c", "n", "b"}  # one number each, OpenCV's letters for types

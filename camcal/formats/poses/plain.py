@@ -11,13 +11,23 @@ from camcal.formats.covariance import ORDER, QUATERNION, STEPS, why_no_covarianc
 from camcal.formats.documents import Check, Document, Fault, child
 from camcal.formats.native import NAME
 from camcal.formats.poses.record import PixelNoise, PoseKey, PoseRecord, Poses
-from camcal.formats.schema import integer, items, mapping, matrix, number, one_of, text, unchecked
+from camcal.formats.schema import (
+    COVARIANCE_OF_POSE,
+    STATISTIC,
+    STD,
+    integer,
+    items,
+    mapping,
+    number,
+    one_of,
+    text,
+    unchecked,
+)
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
 
 FORMAT = "camcal-poses"
 VERSION = 1
-FARTHEST = 1e12  # m; squares of squares of more are no numbers any longer
 UNITS = ("m", "squares")
 UNIT_LENGTH = 1e-6  # how far the length of a quaternion may be from 1
 
@@ -26,7 +36,7 @@ _COVARIANCES = ("covariance", "covariance_noise")
 _FIT = {"rms_px": number(0), "max_px": number(0), "n_points": integer(0), "n_inliers": integer(0)}
 _TRANSFORM = mapping(
     {
-        "translation": items(number(-FARTHEST, FARTHEST), 3),
+        "translation": items(number(), 3),
         "quaternion": mapping(dict.fromkeys(QUATERNION, number(-1.1, 1.1))),
     },
     {"rotation_vector": items(number(), 3)},
@@ -117,21 +127,21 @@ def check_frames(value: Any, path: str) -> Iterator[Fault]:
 
 
 def _pose_block(frames: str) -> Check:
-    covariances = dict.fromkeys(_COVARIANCES, matrix(6, 6))
-    alternative = mapping({frames: _TRANSFORM, "dchi2": number(), "probability": number(0, 1)}, covariances)
+    covariances = dict.fromkeys(_COVARIANCES, COVARIANCE_OF_POSE)
+    alternative = mapping({frames: _TRANSFORM, "dchi2": STATISTIC, "probability": number(0, 1)}, covariances)
     return mapping(
-        {"image": text, "status": text, frames: _TRANSFORM, "covariance": matrix(6, 6), **_FIT},
+        {"image": text, "status": text, frames: _TRANSFORM, "covariance": COVARIANCE_OF_POSE, **_FIT},
         {
             "object": text,
             "position": items(number(), 3),
-            "std": items(number(0), 6),
+            "std": items(STD, 6),
             "outliers": items(integer()),
             "p_wrong": number(0, 1),
-            "error_ratio": number(0),
+            "error_ratio": STATISTIC,
             "alternatives": items(alternative),
             "view_angle_deg": number(0, 180),
-            "covariance_noise": matrix(6, 6),
-            **dict.fromkeys(_FIGURES, number()),
+            "covariance_noise": COVARIANCE_OF_POSE,
+            **dict.fromkeys(_FIGURES, STATISTIC),
         },
     )
 

@@ -15,12 +15,12 @@ from camcal.arrays import Array
 from camcal.errors import FileError, InvalidInput
 from camcal.estimate.poses.records import Alternative
 from camcal.formats.covariance import ORDER, PAIRS, POSITION, QUATERNION, from_upper, names_of_pairs, why_no_covariance
-from camcal.formats.poses.plain import FARTHEST, FORMAT, UNIT_LENGTH, UNITS, VERSION, check_frames
+from camcal.formats.poses.plain import FORMAT, UNIT_LENGTH, UNITS, VERSION, check_frames
 from camcal.formats.poses.record import PixelNoise, PoseKey, PoseRecord, Poses
 from camcal.formats.tables import Lines, Table, cell, csv_rows, numbered_lines
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
-from camcal.parsing import parse_integer, parse_number
+from camcal.parsing import LARGEST, parse_integer, parse_number
 
 _POSE = (*POSITION, *QUATERNION)
 _VECTOR = ORDER[3:]
@@ -164,7 +164,7 @@ def _transforms(table: Table, numbers: Array) -> list[Pose]:
     off = np.abs(np.linalg.norm(numbers[:, 3:7], axis=1) - 1)
     table.refuse(off > UNIT_LENGTH, lambda _row: "quaternion norm is not 1")
     farthest = np.abs(numbers[:, :3]).max(axis=1)
-    table.refuse(farthest > FARTHEST, lambda row: f"a translation of {farthest[row]:g} is implausible")
+    table.refuse(farthest > LARGEST, lambda row: f"a translation of {farthest[row]:g} is implausible")
     return [Pose(so3.from_quaternion(row[3:7]), row[:3]) for row in numbers]
 
 

@@ -18,7 +18,7 @@ from camcal.formats.covariance import ORDER, QUATERNION, STEPS
 from camcal.formats.documents import MAX_VALUES, Document, child, load_either
 from camcal.formats.emit import number_text
 from camcal.formats.pose_text import static_transform_publisher
-from camcal.formats.schema import integer, items, mapping, matrix, number, one_of, text
+from camcal.formats.schema import COVARIANCE_OF_POSE, integer, items, mapping, number, one_of, text
 from camcal.formats.trajectories import tracked
 from camcal.formats.trajectories.rows import named, trajectory
 from camcal.geometry import rotation as so3
@@ -28,7 +28,7 @@ FORMAT = "camcal-trajectory"
 VERSION = 1
 TRANSFORMS = "transforms"
 
-_OPTIONAL = {"covariance": matrix(6, 6), "velocity": items(number(), 6), "segment": integer(0)}
+_OPTIONAL = {"covariance": COVARIANCE_OF_POSE, "velocity": items(number(), 6), "segment": integer(0)}
 _POSE = mapping(
     {
         "t": number(),

@@ -9,7 +9,7 @@ from camcal.errors import InvalidInput, Located
 from camcal.formats.tables import LONGEST_QUOTE, Lines
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Trajectory, frames_of
-from camcal.parsing import parse_number, parse_numbers
+from camcal.parsing import LARGEST, parse_number, parse_numbers
 
 DEFAULT_FRAMES = "world_T_camera"
 
@@ -42,6 +42,7 @@ def trajectory(
     lines: where each pose stands in the file. Raises InvalidInput for stamps that do not increase and for quaternions
     that have not length 1; those that nearly have are normalised.
     """
+    require_plausible(path, lines, np.column_stack([stamps, positions, quaternions]))
     require_increasing(path, lines, stamps)
     lengths = np.linalg.norm(quaternions, axis=1)
     bad = np.abs(lengths - 1) > _ROUNDED
@@ -59,6 +60,14 @@ def named(frames: str | None, where: str) -> str:
     with Located(where):
         frames_of(name)
     return name
+
+
+def require_plausible(path: str, lines: Sequence[int | str], rows: Array) -> None:
+    """Raise InvalidInput about the first row of numbers (N, C) that has one beyond all limits."""
+    farthest = np.abs(rows).max(axis=1, initial=0.0)
+    if (farthest > LARGEST).any():
+        row = int(np.argmax(farthest > LARGEST))
+        raise InvalidInput(f"{farthest[row]:g} is outside [-{LARGEST:g}, {LARGEST:g}]", where=f"{path}:{lines[row]}")
 
 
 def require_increasing(path: str, lines: Sequence[int | str], stamps: Array) -> None:

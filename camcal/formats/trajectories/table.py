@@ -15,7 +15,7 @@ from camcal.errors import FileError, InvalidInput
 from camcal.formats import tables
 from camcal.formats.covariance import PAIRS, POSITION, QUATERNION, from_upper, names_of_pairs
 from camcal.formats.trajectories import tracked
-from camcal.formats.trajectories.rows import named, numbers, trajectory
+from camcal.formats.trajectories.rows import named, numbers, require_plausible, trajectory
 from camcal.formats.trajectories.tracked import VELOCITY
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Trajectory
@@ -180,6 +180,7 @@ def write_kitti(path: Path, poses: Trajectory) -> None:
 
 
 def _of_matrices(path: str, lines: list[int], table: Array, frames: str | None) -> Trajectory:
+    require_plausible(path, lines, table)
     matrices = table.reshape(-1, 3, 4)
     rotations = matrices[:, :, :3]
     error = np.abs(rotations @ rotations.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))

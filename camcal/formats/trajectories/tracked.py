@@ -19,7 +19,7 @@ from camcal.formats import emit
 from camcal.formats.covariance import ORDER, POSITION, QUATERNION, STEPS
 from camcal.formats.documents import Document, child
 from camcal.formats.poses.record import PoseRecord
-from camcal.formats.schema import integer, items, mapping, matrix, number, one_of, text
+from camcal.formats.schema import COVARIANCE_OF_POSE, STATISTIC, STD, integer, items, mapping, number, one_of, text
 from camcal.formats.tables import Lines, Table, cell
 from camcal.formats.trajectories.rows import named, trajectory
 from camcal.geometry import rotation as so3
@@ -42,19 +42,19 @@ _WITH_A_POSE = {
     "translation": items(number(), 3),
     "quaternion": mapping(dict.fromkeys(QUATERNION, number())),
     "velocity": items(number(), 6),
-    "covariance": matrix(6, 6),
+    "covariance": COVARIANCE_OF_POSE,
     "segment": integer(0),
 }
 _OF_A_FRAME = {
     "p_branch": number(0, 1),
-    "nis": number(0),
+    "nis": STATISTIC,
     "p_wrong": number(0, 1),
     "rms_px": number(0),
     "n_points": integer(0),
     "candidate": integer(0),
 }
 _FRAME = mapping({"t": number(), "frame": text, "state": text}, {**_WITH_A_POSE, **_OF_A_FRAME})
-_NOISE = mapping({"qv": number(0), "qw": number(0)}, {"fading_s": number(0)})
+_NOISE = mapping({"qv": STD, "qw": STD}, {"fading_s": number(0)})
 _AMBIGUOUS = items(mapping({"start_s": number(), "end_s": number(), "p_branch": number(0, 1)}))
 _TRACK = mapping({"poses": items(_FRAME)}, {"object": text, "process_noise": _NOISE, "ambiguous": _AMBIGUOUS})
 CHECK = mapping(

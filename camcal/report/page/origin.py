@@ -12,6 +12,8 @@ def origin_section(provenance: Mapping[str, Any], environment: Mapping[str, str]
     rows += [["created", str(provenance["created"])]] if "created" in provenance else []
     rows += [[name, version] for name, version in environment.items()]
     rows += [[f"board {name}", _words(value)] for name, value in dict(provenance.get("board", {})).items()]
+    if totals := provenance.get("image_totals"):
+        rows.append(["images", f"{totals['used']} of {totals['listed']} used; SHA-256 of the list {totals['sha256']}"])
     tables = [Table.of("Program, machine and board", ("what", "value"), rows)]
     images = [_image_row(image) for image in provenance.get("images", []) if isinstance(image, Mapping)]
     if images:

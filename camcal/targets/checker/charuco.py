@@ -19,7 +19,7 @@ from functools import lru_cache
 import numpy as np
 
 from camcal import opencv
-from camcal.arrays import Array
+from camcal.arrays import Array, IntArray
 from camcal.targets.board import Board
 from camcal.targets.board_map import map_of
 from camcal.targets.checker import grid as grids
@@ -194,7 +194,7 @@ def marker_squares(board: Board, *, legacy: bool) -> Array:
     return np.argwhere((row + column + first) % 2 == 1)
 
 
-_WHITE = np.uint8(255)
+WHITE = np.uint8(255)
 ENOUGH = 0.5  # of the board's corners, to look no further
 INSIDE = 0.9  # share of a pattern's corners that must be the board's where its markers put it
 MARGIN_USED = 0.8  # of a marker's white margin, so that a blurred marker stays out of the samples
@@ -224,20 +224,43 @@ def find_charuco(gray: Array, board: Board) -> BoardDetection:
     Raises InvalidInput if the dictionary is unknown or too small.
     """
     require_markers(board)
-    found = _find(gray, board)
-    if found.found or not len(found.refused):
+    found, bare = _find(gray, board)
+    white = np.asarray(WHITE - gray)
+    if found.found or not any(len(read_markers(white, each.inverted, board).marker) >= LEAST_VOTES for each in bare):
         return found
-    inverted = _find(np.asarray(_WHITE - gray), board)
+    inverted, _ = _find(white, board)
     return replace(inverted, inverted=True) if inverted.found else found
 
 
-def _find(gray: Array, board: Board) -> BoardDetection:
-    """Return the corners of a board of dark markers on white, or the reason why there are none."""
+def arrangement_votes(gray: Array, boards: Sequence[Board]) -> IntArray:
+    """Return how many markers in `gray`, (H, W) uint8, speak for each (N,) of the arrangements of a board.
+
+    These have the same markers, so each pattern is read once for all of them: as drawn, and as printed inverted.
+    """
+    votes, white = np.zeros(len(boards), np.intp), np.asarray(WHITE - gray)
+    for copy in proposals(gray):
+        for start in copy:
+            checker = trimmed(verified_corners(gray, start, clearance(boards[0])))
+            for image, seen in ((gray, checker), (white, checker.inverted)):
+                reading = read_markers(image, seen, boards[0])
+                for index, board in enumerate(boards):
+                    place = board_placement(reading, board, _legacies(board))
+                    if place is not None and _inside(place.on_board(seen.grid, board), seen):
+                        votes[index] += place.votes
+        if votes.any():
+            break
+    return votes
+
+
+def _find(gray: Array, board: Board) -> tuple[BoardDetection, list[Checker]]:
+    """Return the corners of a board of dark markers on white, or why there are none, and patterns without markers."""
     legacies = _legacies(board)
     best, most = BoardDetection.nothing(f"no marker of {board.dictionary} found"), 0
+    bare: list[Checker] = []
     for copy in proposals(gray):
         parts = [_part(gray, start, board, legacies) for start in copy]
         grid = _joined(parts, board)
+        bare += [part.checker for part in parts if not part.markers]
         if grid is None:
             closest = max(parts, key=lambda part: (part.markers, part.corners), default=None)
             if closest is None or best.found:
@@ -252,7 +275,7 @@ def _find(gray: Array, board: Board) -> BoardDetection:
         best = max(best, seen, key=lambda detection: len(detection.ids))
         if len(best.ids) >= ENOUGH * board.count:
             break
-    return best
+    return best, bare
 
 
 @dataclass(frozen=True, eq=False)
@@ -291,13 +314,18 @@ def _joined(parts: list[_Part], board: Board) -> Array | None:
     grid = None
     for place, part in seated:
         corners = place.on_board(part.checker.grid, board)
-        if (~np.isnan(corners[..., 0])).sum() < INSIDE * part.checker.found.sum():
+        if not _inside(corners, part.checker):
             continue
         if grid is None:
             grid = corners
         elif place.legacy == seated[0][0].legacy:
             grid = np.where(np.isnan(grid), corners, grid)
     return grid
+
+
+def _inside(corners: Array, checker: Checker) -> bool:
+    """Return whether a pattern's corners are on the board, (rows, columns, 2), where its markers put it."""
+    return bool((~np.isnan(corners[..., 0])).sum() >= INSIDE * checker.found.sum())
 
 
 def _unplaced(part: _Part) -> BoardDetection:

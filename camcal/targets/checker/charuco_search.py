@@ -18,6 +18,7 @@ from camcal.errors import InvalidInput
 from camcal.targets.board import CHARUCO, LARGEST, Board
 from camcal.targets.checker.charuco import (
     TURNS,
+    WHITE,
     WRONG_BITS,
     arrangements,
     bright_squares,
@@ -112,8 +113,14 @@ def _rounded(ratio: float, square: float | None) -> float:
 def search_charuco(gray: Array, like: Board) -> CharucoLayout | None:
     """Return the ChArUco board that `gray`, (H, W) uint8, shows most clearly, None where it shows none.
 
-    like: the board that was expected; where ids leave a choice its first marker is taken.
+    One that is printed white on black is searched for where there is no other. like: the board that was expected; where
+    ids leave a choice its first marker is taken.
     """
+    return _clearest(gray, like) or _clearest(np.asarray(WHITE - gray), like)
+
+
+def _clearest(gray: Array, like: Board) -> CharucoLayout | None:
+    """Return the board of dark markers on white that an image shows most clearly."""
     for copy in proposals(gray):
         parts = [layouts for start in copy if (layouts := _layouts(gray, start, like.first_marker))]
         best = max(parts, key=lambda layouts: layouts[0].votes, default=())

@@ -9,7 +9,7 @@ the picture of a corner, its derivatives by both directions and a plane. A few r
 and Matthews 2004, inverse compositional alignment).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
@@ -54,6 +54,11 @@ class Checker:
     def found(self) -> Array:
         """Which corners were found, (rows, columns)."""
         return ~np.isnan(self.grid[..., 0])
+
+    @property
+    def inverted(self) -> "Checker":
+        """The same corners in the negative of the image."""
+        return replace(self, sign=-self.sign)
 
     @property
     def area(self) -> float:

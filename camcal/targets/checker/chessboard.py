@@ -70,7 +70,8 @@ def _judged(gray: Array, checker: Checker, board: Board, *, partial: bool) -> Bo
         places = with_dots(gray, checker, places, board)
     grid = numbered(places, checker, board)
     if grid is not None:
-        return BoardDetection.of(clear_corners(gray, Checker(grid, checker.sign, checker.contrast)))
+        seen = BoardDetection.of(clear_corners(gray, Checker(grid, checker.sign, checker.contrast)))
+        return replace(seen, inverted=seen.found and whole and _is_inverted(gray, checker))
     if whole and board.dots:
         reason = "the three dots that define its orientation are not visible"
         return BoardDetection.nothing(reason, refused=checker.grid)
@@ -107,6 +108,8 @@ ALTERNATING = 0.5  # smallest difference of neighbouring squares of the rim, of 
 MARGIN = 0.35  # largest difference of the margin and a bright square, likewise
 ENDS = 0.75  # share of a side that must look so, as far as it is in the image
 LEAST_RIM = 3  # places
+WHITE = np.uint8(255)
+INVERTED = 0.5  # share of the sides that a dark margin must be seen at
 DOT, NO_DOT = 0.55, 0.25  # of dark to bright: difference of a square's middle from its rest
 _ROUND = np.arange(12) * (2 * np.pi / 12)
 _DOT_RING = 0.32  # steps from the middle of a square, outside a dot and inside the square
@@ -162,6 +165,11 @@ def _ending_on(board: Board, ids: Array) -> Array:
         next_row, next_column = (2 * index[at] - index[before] for index in (row, column))
         sides.append(not (0 <= next_row < board.rows and 0 <= next_column < board.columns))
     return np.array(sides)
+
+
+def _is_inverted(gray: Array, checker: Checker) -> bool:
+    """Return whether most sides (of four) of a whole pattern end with a dark margin, and none with a bright one."""
+    return bool(not _ends(gray, checker).any() and _ends(np.asarray(WHITE - gray), checker).mean() > INVERTED)
 
 
 def _ends(gray: Array, checker: Checker) -> Array:

@@ -42,6 +42,7 @@ from camcal.tasks.calibration.corner_refinement import RefinementSummary, is_ref
 from camcal.tasks.calibration.image_circle_of_views import circle_lines, known_circle, with_circle
 from camcal.tasks.calibration.model_selection import Selection, compared, solve
 from camcal.tasks.calibration.options import CalibrateOptions
+from camcal.tasks.calibration.screenshots import screenshots
 from camcal.tasks.calibration.video_frames import FrameRecord
 from camcal.tasks.calibration.video_frames import as_data as frame_data
 from camcal.tasks.figure_files import figure_data, write_figures
@@ -162,12 +163,13 @@ def calibrated(
             seen, selection, refinement, found = _refined(seen, brief, solve_seen, options, progress)
         else:
             selection = _solve_views(solve_seen, seen, progress)
-    except (InsufficientData, NotConverged) as error:
+    except (InsufficientData, NotConverged) as refusal:
+        error = screenshots(seen, options, progress) or refusal
         if options.report is not None:
             from camcal.tasks.reports.camera_page import write_refusal
 
             write_refusal(options.report, seen, options, words, error)
-        raise
+        raise error from refusal.__cause__
     calibration, assessment = selection.calibration, selection.assessment
     found += selection.warnings
     if refinement is not None and options.save_detections:

@@ -23,6 +23,13 @@ from camcal.run.paths import Media, find_images, find_media, names_file, refuse_
 from camcal.targets.board import CHARUCO, Board
 from camcal.targets.detect import require_findable
 from camcal.targets.detection import BoardDetection, Detections
+from camcal.tasks.calibration.board_search import (
+    Material,
+    detect_file,
+    first_views,
+    require_colours,
+    search,
+)
 from camcal.tasks.calibration.image_circle_of_views import circle_lines, with_circle
 from camcal.tasks.calibration.mixed_sizes import same_size, usual_size
 from camcal.tasks.calibration.options import DetectOptions
@@ -38,15 +45,10 @@ from camcal.tasks.calibration.video_frames import (
     survey,
 )
 from camcal.tasks.calibration.which_board import (
-    Material,
-    arranged,
     board_warnings,
-    detect_file,
     nothing_found,
     other_board,
     pattern_lines,
-    require_colours,
-    search,
     symmetry_warnings,
 )
 
@@ -161,7 +163,10 @@ def search_board(
     Raises FileError if nothing can be read.
     """
     material = Material(images, videos, options.reading, options.jobs, options.batch, progress)
-    board = arranged(asked, material) if asked.type == CHARUCO else asked
+    board, without = first_views(asked, material, parts=options.parts)
+    if without:
+        few, total = material.of({view.image for view in without}), len(material.names)
+        return FoundBoards(board, tuple(without), (), (), _nothing(asked, board, without, few, options, total))
     seen, errors = _seen(images, board, options, progress)
     errors += [video.error for video in videos if video.error is not None]
     options.batch.raise_first(errors)
@@ -170,9 +175,26 @@ def search_board(
     options.batch.raise_first(errors)
     found = [*seen, *framed]
     _require_readable(found, errors)
-    instead = other_board(asked, board, found, material) if board.type == CHARUCO else None
-    nothing = instead.error(found, asked) if instead else nothing_found(found, board, parts=options.parts)
+    nothing = _nothing(asked, board, found, material, options)
     return FoundBoards(board, tuple(seen), tuple(framed), tuple(errors), nothing)
+
+
+def _nothing(
+    asked: Board,
+    board: Board,
+    views: Sequence[BoardDetection],
+    material: Material,
+    options: DetectOptions,
+    total: int | None = None,
+) -> CamcalError | None:
+    """Return the error that says which board images show in place of the one asked for, None where they show that.
+
+    board: its arrangement that was searched for. total: the number of images where these are some of them.
+    """
+    instead = other_board(asked, board, views, material) if board.type == CHARUCO else None
+    return (
+        instead.error(views, asked, total) if instead else nothing_found(views, board, parts=options.parts, total=total)
+    )
 
 
 def _board(options: DetectOptions) -> Board:

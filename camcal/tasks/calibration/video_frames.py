@@ -40,7 +40,6 @@ COLUMNS = (
     Column("reason", wraps=True),
 )
 SEARCHED_PER_CHOSEN = 8  # frames that are searched for every one that may be chosen
-_SAMPLE = 6  # frames of a video on which the arrangement of a ChArUco board is found out
 
 
 class Frame(NamedTuple):
@@ -82,10 +81,6 @@ class Video:
         """Yield the frames that are to be searched under their names, each with every board."""
         for frame in self.frames():
             yield from ((frame.name, frame, board) for board in boards)
-
-    def sample(self) -> "Video":
-        """Return the video with a few of its frames to be searched."""
-        return replace(self, numbers=self.numbers[:: -(-len(self.numbers) // _SAMPLE) or 1])
 
     def only(self, names: Container[str]) -> "Video":
         """Return the video with those of its frames that have these names."""

@@ -1,35 +1,23 @@
-"""Parallel board detection in images, and diagnosis if another board is visible.
-
-Of a ChArUco board also its arrangement, or another board where the one that is given does not fit.
-"""
+"""What is said of the board that images show, and which one they show where it is not the one that was given."""
 
 from collections import Counter
-from collections.abc import Callable, Container, Iterable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import islice
 from pathlib import Path
-from typing import TypeVar
 
 from camcal import opencv
-from camcal.arrays import Array
-from camcal.errors import InsufficientData, InvalidInput
+from camcal.errors import InsufficientData
 from camcal.formats.boards import short_form
-from camcal.formats.tables import require_cell
 from camcal.messages import Message, counted
-from camcal.progress import Outcome, Progress
-from camcal.raw.detection_image import read_detection_image
 from camcal.raw.options import ImageReadOptions
-from camcal.run.fanout import fan_out
-from camcal.run.journal import Found, journaled
-from camcal.run.options import BatchOptions
 from camcal.targets.board import APRILGRID, ASYMMETRIC_CIRCLES, CHARUCO, CHESSBOARD, CIRCLES, Board
-from camcal.targets.checker.charuco import arrangements, ends_after, rows_seen
+from camcal.targets.checker.charuco import ends_after, rows_seen
 from camcal.targets.checker.charuco_search import CharucoLayout, common_layout, is_like, search_charuco
-from camcal.targets.corners.measure import measure
-from camcal.targets.detect import SEED, detect
+from camcal.targets.detect import SEED
 from camcal.targets.detection import BoardDetection
-from camcal.tasks.calibration.video_frames import Frame, Video, detect_frame
+from camcal.tasks.calibration.board_search import SAMPLE, Material, gray_of, spread
+from camcal.tasks.calibration.video_frames import Frame
 
 _UNKNOWN_SIZE = {
     CHESSBOARD: "square size unknown: lengths are in squares; give it with --board",
@@ -46,15 +34,9 @@ _TO_CHECK = {
     ASYMMETRIC_CIRCLES: "the number of circles (those in one row, then the rows)",
 }
 
-SAMPLE = 6  # images on which it is found out
-TRYING, SEARCHING = "trying patterns", "trying other boards"
+_SEARCHING = "trying other boards"
 _ENDING = 1 / 3  # of the images that are tried, that show where a board ends: in others something may hide it
 _OFTEN = 0.5  # of the images, in which a board that is the right one is found
-Item = TypeVar("Item")
-
-TIMEOUT_S = 600.0  # for one image; the slowest take some seconds
-Source = TypeVar("Source")
-Shown = TypeVar("Shown")
 
 
 def board_warnings(views: Sequence[BoardDetection], board: Board, stated: Board) -> tuple[Message, ...]:
@@ -85,9 +67,11 @@ def symmetry_warnings(board: Board) -> tuple[Message, ...]:
 
 
 def pattern_lines(board: Board, stated: Board, views: Sequence[BoardDetection]) -> tuple[str, ...]:
-    """Return lines on the pattern of a ChArUco board where it was found out, and where it is printed inverted."""
+    """Return lines on the pattern of a ChArUco board where it was found out, and where a board is printed inverted."""
     count = sum(view.inverted for view in views)
-    inverted = (f"board printed inverted, white on black, in {counted(count, 'image')}",) if count else ()
+    # a chessboard that is cut at its squares and lies on black looks the same
+    how = "with a dark margin, as if printed inverted" if board.type == CHESSBOARD else "printed inverted"
+    inverted = (f"board {how}, white on black, in {counted(count, 'image')}",) if count else ()
     return inverted + _pattern_lines(board, stated)
 
 
@@ -97,8 +81,11 @@ def _pattern_lines(board: Board, stated: Board) -> tuple[str, ...]:
     return ("legacy ChArUco pattern (OpenCV < 4.6)" if board.legacy else "current ChArUco pattern (OpenCV >= 4.6)",)
 
 
-def nothing_found(views: Sequence[BoardDetection], board: Board, *, parts: bool = False) -> InsufficientData | None:
-    """Return the error that says why the board is in no image, None where it is in some.
+def nothing_found(
+    views: Sequence[BoardDetection], board: Board, *, parts: bool = False, total: int | None = None
+) -> InsufficientData | None:
+    """Return the error that says why the board is in no image, None where it is in some; total: the number of images
+    where some were not searched.
 
     Images may show other boards instead. One that is larger than the board and in more images than the board means that
     a part of another board was taken for it; a smaller one may be a part of the board, which counts only if parts do.
@@ -111,7 +98,11 @@ def nothing_found(views: Sequence[BoardDetection], board: Board, *, parts: bool 
         return None
     if common is None:
         advice = f"check {_TO_CHECK[board.type]}, and the images"
-        return InsufficientData(f"no {board.words} in {_any(views)}{_reasons(views)}; {advice}")
+        if total is not None:
+            advice += ", or give only images that show the board"
+        searched = min(len(views), SAMPLE)
+        instead = f", no other ChArUco board in {searched} of them" if board.type == CHARUCO and searched > 1 else ""
+        return InsufficientData(f"no {board.words} in {_any(views, total)}{_reasons(views)}{instead}; {advice}")
     squares = (common.columns + 1, common.rows + 1) == (board.columns, board.rows)
     checker = board.type == CHESSBOARD
     why = "sizes count inner corners, not squares: " if checker and squares else ""
@@ -120,7 +111,7 @@ def nothing_found(views: Sequence[BoardDetection], board: Board, *, parts: bool 
     article = "an" if common.type == ASYMMETRIC_CIRCLES else "a"
     what = f"a checker pattern of {common.columns}x{common.rows}" if checker else f"{article} {common.words}"
     return InsufficientData(
-        f"no {board.words} in {len(views) - found} of {counted(len(views), 'image')}, but {what} "
+        f"no {board.words} in {len(views) - found} of {_images(views, total)}, but {what} "
         f"in {counts[common]}; {why}use --board {short_form(common)}{hidden}"
     )
 
@@ -133,10 +124,12 @@ class OtherBoard:
     shown: int
     tried: int
 
-    def error(self, views: Sequence[BoardDetection], asked: Board) -> InsufficientData:
-        """Return the error that says so; views: what was found of the board that was asked for."""
+    def error(self, views: Sequence[BoardDetection], asked: Board, total: int | None = None) -> InsufficientData:
+        """Return the error that says so; views: what was found of the board that was asked for. total: see
+        `nothing_found`.
+        """
         missing = sum(not view.found for view in views)
-        lacking = f"no {asked.words}" + (f" in {missing} of {counted(len(views), 'image')}" if missing else "")
+        lacking = f"no {asked.words}" + (f" in {missing} of {_images(views, total)}" if missing else "")
         return InsufficientData(
             f"{lacking}: {self.shown} of {self.tried} tested images show "
             f"{', '.join(_differences(self.board, asked))}; use --board {_stated(self.board)}"
@@ -180,9 +173,13 @@ def _larger(other: Board, board: Board) -> bool:
     return long > longest or short > shortest
 
 
-def _any(views: Sequence[BoardDetection]) -> str:
+def _any(views: Sequence[BoardDetection], total: int | None) -> str:
     """Return 'the image', or 'any of 9 images'."""
-    return "the image" if len(views) == 1 else f"any of {len(views)} images"
+    return "the image" if len(views) == 1 else f"any of {_images(views, total)}"
+
+
+def _images(views: Sequence[BoardDetection], total: int | None) -> str:
+    return counted(len(views), "image") + ("" if total is None else f" tested of {total}")
 
 
 def _reasons(views: Sequence[BoardDetection]) -> str:
@@ -192,70 +189,6 @@ def _reasons(views: Sequence[BoardDetection]) -> str:
 
 def _squares(board: Board) -> str:
     return f"{board.columns + 1}x{board.rows + 1}"
-
-
-@dataclass(frozen=True)
-class Material:
-    """Images and videos, how they are read, how many at a time and how else they are worked on."""
-
-    images: Sequence[Path]
-    videos: Sequence[Video]
-    reading: ImageReadOptions
-    jobs: int | None
-    batch: BatchOptions
-    progress: Progress
-
-    def of(self, names: Container[str]) -> "Material":
-        """Return the images and frames of some names."""
-        images = [path for path in self.images if path.as_posix() in names]
-        return replace(self, images=images, videos=[video.only(names) for video in self.videos])
-
-    def sample(self) -> "Material":
-        """Return a few of the images, and a few frames of every video."""
-        return replace(self, images=_spread(self.images), videos=[video.sample() for video in self.videos])
-
-    def search(
-        self, work: Callable[[Source], Shown], tasks: Iterable[Source], what: str
-    ) -> Iterator[Outcome[Source, Shown]]:
-        """Return an iterator with the outcome of every task, also after one that failed."""
-        return search(work, tasks, self.jobs, self.batch.keep_going, what, self.progress)
-
-    def sources(self) -> Iterator[tuple[str, Path | Frame]]:
-        """Yield the images, then the frames of one video after another, under their names."""
-        yield from ((path.as_posix(), path) for path in self.images)
-        for video in self.videos:
-            yield from ((frame.name, frame) for frame in video.frames())
-
-
-def _spread(items: Sequence[Item]) -> Sequence[Item]:
-    return items[:: -(-len(items) // SAMPLE) or 1]
-
-
-def arranged(asked: Board, material: Material) -> Board:
-    """Return the arrangement of a ChArUco board with which most corners are found on a sample, else on everything."""
-    candidates = arrangements(asked)
-    if len(candidates) == 1:
-        return candidates[0]
-    reading = replace(material.reading, colours=False)
-    corners: Counter[Board] = Counter()
-    for part in (material.sample(), material):
-        tasks = [(path, candidate) for candidate in candidates for path in part.images]
-        shown = material.search(partial(detect_file, reading=reading), tasks, TRYING)
-        corners.update(_counts((outcome.item[1], outcome.value) for outcome in shown if outcome.value))
-        for video in part.videos:
-            looks = material.search(detect_frame, video.tasks(candidates), TRYING)
-            corners.update(_counts((outcome.item[2], outcome.value) for outcome in looks if outcome.value))
-        if corners.total():
-            break
-    return max(candidates, key=lambda candidate: corners[candidate])
-
-
-def _counts(views: Iterable[tuple[Board, BoardDetection]]) -> Counter[Board]:
-    """Return how many corners were found with each board."""
-    counts: Counter[Board] = Counter()
-    for board, view in views:
-        counts[board] += len(view.ids)
-    return counts
 
 
 def other_board(asked: Board, board: Board, views: Sequence[BoardDetection], material: Material) -> OtherBoard | None:
@@ -286,10 +219,10 @@ def _family(board: Board) -> str:
 def _searched(asked: Board, material: Material) -> OtherBoard | None:
     """Return the board that a few images show, searched for until two of them agree."""
     work = partial(_layout_in, reading=replace(material.reading, colours=False), like=asked)
-    tasks = list(islice(material.sample().sources(), SAMPLE))
+    tasks = list(material.sample(SAMPLE).sources())
     layouts: list[CharucoLayout] = []
     tried = 0
-    for outcome in material.search(work, tasks, SEARCHING):
+    for outcome in material.search(work, tasks, _SEARCHING):
         tried += 1
         layouts += [outcome.value] if outcome.value else []
         if len(layouts) > len({layout.kind for layout in layouts}):
@@ -303,11 +236,7 @@ def _searched(asked: Board, material: Material) -> OtherBoard | None:
 
 def _layout_in(task: tuple[str, Path | Frame], reading: ImageReadOptions, like: Board) -> CharucoLayout | None:
     with opencv.repeatable(SEED):
-        return search_charuco(_gray(task[1], reading), like)
-
-
-def _gray(source: Path | Frame, reading: ImageReadOptions) -> Array:
-    return source.image.pixels if isinstance(source, Frame) else read_detection_image(source, reading).gray
+        return search_charuco(gray_of(task[1], reading), like)
 
 
 def _with_fewer_rows(
@@ -317,10 +246,10 @@ def _with_fewer_rows(
     rows = max((rows_seen(board, view.ids) for view in found), default=0)
     if rows in (0, board.rows + 1):
         return None
-    views = {view.image: view for view in _spread(found)}
+    views = {view.image: view for view in spread(found, SAMPLE)}
     work = partial(_ends_in, reading=replace(material.reading, colours=False), board=board, rows=rows)
     tasks = [(name, source, views[name]) for name, source in material.of(views).sources()]
-    outcomes = list(material.search(work, tasks, SEARCHING))
+    outcomes = list(material.search(work, tasks, _SEARCHING))
     shown = sum(bool(outcome.value) for outcome in outcomes)
     if not shown or shown < _ENDING * len(outcomes):
         return None
@@ -331,54 +260,4 @@ def _ends_in(
     task: tuple[str, Path | Frame, BoardDetection], reading: ImageReadOptions, board: Board, rows: int
 ) -> bool:
     _, source, view = task
-    return ends_after(_gray(source, reading), board, rows, view.ids, view.pixels)
-
-
-def detect_file(
-    task: tuple[Path, Board], reading: ImageReadOptions, parts: bool = False, hashed: bool = False
-) -> BoardDetection:
-    """Return what an image file shows of a board, also in each colour if the reading asks for them; hashed: with the
-    hash of the file.
-
-    Raises FileError or InvalidInput if it cannot be read.
-    """
-    path, board = task
-    require_cell(path)
-    image = read_detection_image(path, reading, hashed=hashed)
-    found = detect(image.gray, board, partial=parts, samples=image.samples)
-    colours = {
-        colour: replace(measure(samples, board, found), image=path.as_posix(), size=found.size)
-        for colour, samples in image.colours.items()
-    }
-    return replace(
-        found,
-        image=path.as_posix(),
-        orientation=image.orientation,
-        colours=colours,
-        sha256=image.sha256,
-    )
-
-
-def require_colours(board: Board, reading: ImageReadOptions) -> None:
-    """Raise InvalidInput if colours are asked for that this type of board does not show: they need checker corners."""
-    if reading.colours and not board.checker:
-        raise InvalidInput(f"colours need a board with checkerboard corners, not a {board.words}")
-
-
-def search(
-    work: Callable[[Source], Shown],
-    tasks: Iterable[Source],
-    jobs: int | None,
-    batch: BatchOptions,
-    what: str,
-    progress: Progress,
-    found: Found[Source, Shown] | None = None,
-) -> Iterator[Outcome[Source, Shown]]:
-    """Return an iterator with the outcome of every task in their order; one that hangs or crashes costs itself only.
-
-    found: how outcomes are kept in the journal of the command, None for not at all.
-    """
-    timeout = None if jobs == 1 else TIMEOUT_S
-    if found is not None:
-        return journaled(work, tasks, found, jobs=jobs, batch=batch, what=what, progress=progress, timeout=timeout)
-    return fan_out(work, tasks, jobs=jobs, batch=batch, processes=True, what=what, progress=progress, timeout=timeout)
+    return ends_after(gray_of(source, reading), board, rows, view.ids, view.pixels)

@@ -15,7 +15,7 @@ from camcal.options import INPUT, PATH, Argument, Declared
 from camcal.run.option_paths import inputs_of, is_folder
 from camcal.run.paths import IMAGE_SUFFIXES, VIDEO_SUFFIXES, require_there
 from camcal.tasks.pipelines.reading import Pipeline
-from camcal.tasks.pipelines.step import Step, families
+from camcal.tasks.pipelines.step import Step, families, place_of
 
 _FILE_SUFFIXES = IMAGE_SUFFIXES | VIDEO_SUFFIXES | {
     ".yaml", ".yml", ".json", ".xml", ".csv", ".vnl", ".txt", ".tum", ".pfm", ".exr", ".ply", ".html", ".npz", ".dng"
@@ -112,7 +112,7 @@ class _Makers:
 
 
 def _parts(path: Path) -> tuple[str, ...]:
-    return Path(path.absolute().as_posix()).parts
+    return place_of(path).parts
 
 
 def _matches(pattern: Sequence[str], written: Sequence[str]) -> bool:

@@ -9,18 +9,19 @@ from pathlib import Path
 from typing import Protocol
 
 from camcal import files, system, urls
-from camcal.errors import EXIT_PRECEDENCE, FileError, InvalidInput
+from camcal.errors import EXIT_PRECEDENCE, CamcalError, FileError, InvalidInput
 from camcal.messages import Message, counted
 from camcal.parsing import did_you_mean
 from camcal.progress import SILENT, Outcome, Progress
 from camcal.run.fanout import fan_out
-from camcal.run.outputs import watching
+from camcal.run.option_paths import is_folder
+from camcal.run.outputs import Run, watching
 from camcal.run.process import available_cores
 from camcal.tasks.pipelines.options import PipelineOptions
 from camcal.tasks.pipelines.order import Order, missing_inputs, ordered
 from camcal.tasks.pipelines.reading import Commands, read_pipeline
 from camcal.tasks.pipelines.state import State, files_of
-from camcal.tasks.pipelines.step import Step, StepError, StepJob, StepResult
+from camcal.tasks.pipelines.step import Step, StepError, StepJob, StepResult, place_of
 
 DONE, UP_TO_DATE, FAILED, NOT_RUN = "done", "up to date", "failed", "not run"
 WOULD_RUN, STARTED = "would run", "started"
@@ -91,7 +92,7 @@ def run_pipeline(
             if found := dict.fromkeys(missing_inputs(pipeline, order, chosen.keys())):
                 raise pipeline.document.error(found)
             state = State(state_file)
-        run = _PipelineRun(order, chosen, state, options, file, perform, progress, told or (lambda _: None))
+        run = _PipelineRun(order, chosen, state, options, file, ledger, perform, progress, told or (lambda _: None))
         if options.dry_run:
             return PipelineReport(where, tuple(run.foreseen()))
         try:
@@ -147,6 +148,7 @@ class _PipelineRun:
     state: State
     options: PipelineOptions
     file: Path
+    ledger: Run
     perform: Perform
     progress: Progress
     told: Told
@@ -222,13 +224,13 @@ class _PipelineRun:
 
     def _made_by(self, path: Path) -> set[str]:
         """Return the steps of which a file is an output, or lies in one; of the run's own files that is no step."""
-        place = path.absolute()
+        place = place_of(path)
         return {self._makers[each] for each in (place, *place.parents) if each in self._makers}
 
     @cached_property
     def _makers(self) -> dict[Path, str]:
-        made = {path.absolute(): name for name, step in self.order.steps.items() for path in step.outputs}
-        return made | dict.fromkeys((self.file, self.state.path), "")
+        made = {place_of(path): name for name, step in self.order.steps.items() for path in step.outputs}
+        return made | dict.fromkeys(map(place_of, (self.file, self.state.path)), "")
 
     def results(self, due: Mapping[str, str]) -> Iterator[tuple[str, StepResult]]:
         """Yield what comes of steps that do not need one another; due: their names, and why they run.
@@ -236,6 +238,9 @@ class _PipelineRun:
         If they keep more than half of the jobs busy, each has a process of its own; otherwise one comes after the
         other and has all jobs. On a cluster each is a job, unless it names URLs.
         """
+        refused = {name: result for name in due if (result := self.refused(name)) is not None}
+        yield from refused.items()
+        due = {name: reason for name, reason in due.items() if name not in refused}
         batch, count = self.options.batch, self.options.jobs or available_cores()
         shared = [name for name in due if not self.chosen[name].starts_processes]
         if batch.scheduler is not None:
@@ -254,6 +259,16 @@ class _PipelineRun:
         )
         for outcome in work:
             yield outcome.item.name, _result(outcome)
+
+    def refused(self, name: str) -> StepResult | None:
+        """Keep other runs from the output folders of a step until the pipeline ends; return the error of one in use."""
+        try:
+            for path, each in self.chosen[name].outputs.items():
+                if is_folder(each, path):
+                    self.ledger.folders.hold(path, each.name)
+        except FileError as error:
+            return StepResult(error=_step_error(error))
+        return None
 
     def job(self, name: str, jobs: int | None, scheduler: str | None = None) -> StepJob:
         """Return what it takes to run a step; items of it that are done need not be done again."""
@@ -295,4 +310,8 @@ def _result(outcome: Outcome[StepJob, StepResult]) -> StepResult:
         error = FileError("was written by a worker, but not into a shared folder", where=str(unseen[0]))
     if error is None:
         return result
-    return replace(result, error=StepError(error.exit_code, error.kind, error.message, error.where))
+    return replace(result, error=_step_error(error))
+
+
+def _step_error(error: CamcalError) -> StepError:
+    return StepError(error.exit_code, error.kind, error.message, error.where)

@@ -144,6 +144,11 @@ def figures_of(document: Mapping[str, Any]) -> dict[str, Figure]:
     return found
 
 
+def place_of(path: Path) -> Path:
+    """Return the one path of a file or folder, however it is spelled: by '..', or through a link to a folder."""
+    return path.resolve() if path.name in ("", "..") or path.is_dir() else path.parent.resolve() / path.name
+
+
 def below_here(path: Path) -> Path:
     """Return a path relative to the working directory, if it is below that, else as an absolute one."""
     place, here = path.absolute(), Path.cwd()

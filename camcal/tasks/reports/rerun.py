@@ -8,7 +8,7 @@ from typing import Any
 
 from camcal import files
 from camcal.calibrate.rigs.captures import Captures
-from camcal.errors import GateFailed, InsufficientData, InvalidInput, Located, NotConverged
+from camcal.errors import CamcalError, GateFailed, InsufficientData, InvalidInput, Located, NotConverged
 from camcal.formats import boards, page_data
 from camcal.formats.page_data import CALIBRATE, PageData
 from camcal.messages import Message
@@ -72,7 +72,7 @@ def rerun(options: RerunOptions, progress: Progress = SILENT) -> Rerun:
     claim([output] if refused else [output, options.output / name])
     with Located(options.file):
         before = None if refused else agreement.parsed(data.run["result"], f"{options.file}: result")
-        again = _calibrated(data, options.output, progress)
+        again = _calibrated(data, options, progress)
     files.write_text(output, again.page)
     same = files.read_bytes(options.file) == files.utf8(again.page)
     found = agreement.refusal_difference(data.run.get("refusal", ""), again.refusal)
@@ -91,12 +91,16 @@ def require_agreement(found: Rerun) -> None:
         raise GateFailed.of([Message("rerun_differs", text, values)])
 
 
-def _calibrated(data: PageData, folder: Path, progress: Progress) -> _Again:
+def _calibrated(data: PageData, options: RerunOptions, progress: Progress) -> _Again:
     """Return the page made again; the camera or rig file is written to the folder."""
+    again = _camera if data.run["command"] == CALIBRATE else _rig
     with TemporaryDirectory() as guesses:
-        if data.run["command"] == CALIBRATE:
-            return _camera(data, folder, Path(guesses), progress)
-        return _rig(data, folder, Path(guesses), progress)
+        try:
+            return again(data, options.output, Path(guesses), progress)
+        except CamcalError as error:
+            if error.where and error.where.startswith(guesses):
+                error.where = f"{options.file}: --guess"
+            raise
 
 
 def _camera(data: PageData, folder: Path, guesses: Path, progress: Progress) -> _Again:

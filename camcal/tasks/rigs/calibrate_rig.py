@@ -11,7 +11,6 @@ from camcal.calibrate.fit import ShapeOptions
 from camcal.calibrate.intrinsics import CandidateModel
 from camcal.calibrate.rigs.calibrate import calibrate_rig
 from camcal.calibrate.rigs.record import RigCalibration, RigOptions
-from camcal.cameras.model import CameraModel
 from camcal.cameras.validity import ImageCircle
 from camcal.errors import GateFailed, InsufficientData, InvalidInput, NotConverged
 from camcal.formats import detections, native, native_entry, provenance
@@ -35,6 +34,7 @@ from camcal.tasks.figure_files import figure_data, write_figures
 from camcal.tasks.rigs.options import PRIOR, RigSettings, RigTaskOptions, StereoCalibrateOptions
 from camcal.tasks.rigs.rig_lenses import (
     GivenLens,
+    RigModels,
     given_lenses,
     require_other_images,
     require_sizes,
@@ -141,7 +141,7 @@ def _calibrated(seen: RigViews, settings: RigSettings, command: Sequence[str], p
     try:
         models = rig_models(seen.captures, seen.board, settings, given, shape, circles)
         progress.finish()
-        how = _solver_options(settings, given, shape, models.models)
+        how = _solver_options(settings, given, shape, models)
         calibration = _solved(seen, how, progress, "solving")
     except (InsufficientData, NotConverged) as error:
         if settings.report is not None:
@@ -216,10 +216,12 @@ def _circle(seen: RigViews, name: str) -> ImageCircle | None:
 
 
 def _solver_options(
-    settings: RigSettings, given: Mapping[str, GivenLens], shape: ShapeOptions, models: Mapping[str, CameraModel]
+    settings: RigSettings, given: Mapping[str, GivenLens], shape: ShapeOptions, models: RigModels
 ) -> RigOptions:
-    lenses = {name: starting(lens.camera, models[name]) for name, lens in given.items()}
-    return RigOptions(models, settings.lenses, lenses, shape, settings.max_rejected, settings.motion)
+    lenses = {name: starting(lens.camera, models.models[name]) for name, lens in given.items()}
+    return RigOptions(
+        models.models, settings.lenses, lenses, shape, settings.max_rejected, settings.motion, models.others
+    )
 
 
 def _solved(seen: RigViews, how: RigOptions, progress: Progress, what: str) -> RigCalibration:

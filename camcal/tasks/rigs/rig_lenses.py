@@ -24,7 +24,7 @@ from camcal.formats.camera_file import CameraFile
 from camcal.messages import counted
 from camcal.parsing import did_you_mean
 from camcal.progress import Progress
-from camcal.quality.lens_choice import rank_models
+from camcal.quality.lens_choice import alternative, rank_models
 from camcal.run.paths import split_address
 from camcal.targets.board import Board
 from camcal.targets.detection import BoardDetection
@@ -46,9 +46,12 @@ class GivenLens:
 
 @dataclass(frozen=True, eq=False)
 class RigModels:
-    """The lens model of every camera, and the models that were compared for cameras of a kind, by its cameras."""
+    """The lens model of every camera, others that predict alike, and the models that were compared for cameras of a
+    kind, by its cameras.
+    """
 
     models: Mapping[str, CameraModel]
+    others: Mapping[str, CameraModel] = field(default_factory=dict)
     candidates: Mapping[tuple[str, ...], tuple[CandidateModel, ...]] = field(default_factory=dict)
     lines: tuple[str, ...] = ()
 
@@ -189,7 +192,10 @@ def rig_models(
     open_ = [name for name in captures.cameras if name not in models]
     found = _chosen_for(captures, board, open_, shape, circles)
     return RigModels(
-        {name: {**models, **found.models}[name] for name in captures.cameras}, found.candidates, found.lines
+        {name: {**models, **found.models}[name] for name in captures.cameras},
+        found.others,
+        found.candidates,
+        found.lines,
     )
 
 
@@ -236,8 +242,10 @@ def _chosen_for(
     kinds = [kind for group in groups for kind in _kinds(group, found)]
     models = dict.fromkeys(names, model_named(DEFAULT_MODEL))
     models |= {name: model_named(kind.model) for kind in kinds for name in kind.names}
+    alike = [(kind.names, alternative(kind.candidates, kind.model)) for kind in kinds]
+    others = {name: model_named(other.name) for own, other in alike if other is not None for name in own}
     lines = tuple(kind.line for kind in kinds if kind.model != DEFAULT_MODEL)
-    return RigModels(models, {kind.names: kind.candidates for kind in kinds}, lines)
+    return RigModels(models, others, {kind.names: kind.candidates for kind in kinds}, lines)
 
 
 def _focal(views: Sequence[BoardDetection], board: Board) -> float:

@@ -15,13 +15,14 @@ from camcal.raw.options import AS_IMAGES
 from camcal.targets.board import Board
 from camcal.targets.detect import require_findable
 from camcal.targets.detection import BoardDetection, Detections
+from camcal.tasks.calibration.board_search import require_colours
 from camcal.tasks.calibration.board_views import board_views
 from camcal.tasks.calibration.detect import search_board
 from camcal.tasks.calibration.image_circle_of_views import circle_lines, with_circle
 from camcal.tasks.calibration.mixed_sizes import same_size, usual_size
 from camcal.tasks.calibration.options import DetectOptions
 from camcal.tasks.calibration.video_frames import FrameRecord, Video, summary
-from camcal.tasks.calibration.which_board import board_warnings, pattern_lines, require_colours
+from camcal.tasks.calibration.which_board import board_warnings, pattern_lines
 from camcal.tasks.poses.frame_times import frame_times
 from camcal.tasks.rigs.camera_inputs import SYNTAX, CameraInputs, cameras_of, split_by_name
 from camcal.tasks.rigs.matching import Matched, matched, unmatched_words
