@@ -23,7 +23,7 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
 _SPEED = 2.0  # 1/s, of the distance: standard deviation of an unknown velocity
 _TURN = 2 * np.pi  # rad/s, the same of an unknown rate
 _PLACE, _ANGLE = 0.5, 2.0  # of the distance, and rad: of an unknown pose
-POSE = slice(0, 6)
+POSE, VELOCITY = slice(0, 6), slice(6, 12)
 _PER_AXIS = np.repeat([0, 1], 3)
 
 # descents

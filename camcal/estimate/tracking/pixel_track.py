@@ -283,7 +283,7 @@ def _best_kind(forward: Forward, frame: int) -> int:
 
 @dataclass(frozen=True, eq=False)
 class _Path:
-    """The course of the best hypothesis: the first frame, states, kinds (M) and surprises (M, 6)."""
+    """The course of the best hypothesis: the first frame, smoothed states, kinds (M) and surprises (M, 6)."""
 
     first: int
     states: MotionState
@@ -295,13 +295,33 @@ class _Path:
         steps = forward.path(last)
         at = [(forward.frames[frame], which) for frame, which in steps]
         known = [(hypothesis, which) for hypothesis, which in at if hypothesis is not None]
-        states = [each.states.at(which) for each, which in known]
         return cls(
             steps[0][0],
-            MotionState(*map(np.stack, zip(*states, strict=True))),
+            _smoothed(known),
             np.array([each.kinds[which] for each, which in known]),
             np.array([each.surprises[which] for each, which in known]),
         )
+
+
+def _smoothed(known: list[tuple[Hypotheses, int]]) -> MotionState:
+    """Return the states (M) of a hypothesis and those that it stems from, smoothed back."""
+    filtered, spread, expected, expected_spread, growth = (
+        [part.at(which) if isinstance(part, MotionState) else part[which] for part, which in parts]
+        for parts in zip(
+            *([(each, which) for each in (one.states, one.covariances, *one[3:6])] for one, which in known),
+            strict=True,
+        )
+    )
+    gains = _gains(np.array(spread[:-1]), np.array(expected_spread[1:]), np.array(growth[1:]))
+    states = filtered[-1:]
+    for state, gain, forecast in zip(filtered[-2::-1], gains[::-1], expected[:0:-1], strict=True):
+        states.append(state.moved(gain @ difference(states[-1], forecast)))
+    return MotionState(*map(np.stack, zip(*states[::-1], strict=True)))
+
+
+def _gains(spread: Array, expected_spread: Array, growth: Array) -> Array:
+    """Return by how much (..., S, S) states move with what is learnt of the next ones, 0 where nothing links them."""
+    return np.asarray(np.linalg.solve(expected_spread, growth @ spread).swapaxes(-1, -2))
 
 
 def lagged(forward: Forward, lag: int, far: float) -> tuple[MotionState, Array, Array]:
@@ -325,7 +345,7 @@ def lagged(forward: Forward, lag: int, far: float) -> tuple[MotionState, Array, 
         which[rows] = [int(known[frame].parents[one]) for frame, one in zip(later, index, strict=True)]
         at[rows] -= 1
         filtered, spread = _gathered(known, at[rows], which[rows], "states", "covariances")
-        gain = np.linalg.solve(expected_spread, growth @ spread).swapaxes(-1, -2)
+        gain = _gains(spread, expected_spread, growth)
         step = (gain @ difference(states.at(rows), expected)[..., None])[..., 0]
         after = spread + gain @ (covariances[rows] - expected_spread) @ gain.swapaxes(-1, -2)
         for whole, part in zip(states, filtered.moved(step), strict=True):

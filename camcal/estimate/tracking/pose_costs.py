@@ -11,7 +11,7 @@ from typing import ClassVar
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.estimate.tracking.free_motion import POSE, ObjectPlane, steps_from
+from camcal.estimate.tracking.free_motion import POSE, VELOCITY, ObjectPlane, steps_from
 from camcal.estimate.tracking.measurements import PoseMeasurements
 from camcal.estimate.tracking.pixel_costs import WRONG
 from camcal.geometry import rotation as so3
@@ -41,10 +41,14 @@ class PoseFrames:
 
     @classmethod
     def of(cls, measurements: PoseMeasurements, unknown: Array, gate: float) -> "PoseFrames":
-        """Return the frames of measurements; unknown: variances of a wrong pose. gate: bound of χ²."""
+        """Return the frames of measurements; unknown: (S,) variances of an unknown state. gate: bound of χ²."""
         there = measurements.present[:, None]
         information = np.linalg.inv(measurements.covariances)
-        volumes = np.linalg.slogdet(np.eye(6) + unknown[POSE, None] * information[:, :1])[1]
+        # A wrong pose may be as far off as an unknown velocity leads: else no track begins where frames are rare.
+        since = np.zeros((len(there), 1))
+        since[np.flatnonzero(there)[1:], 0] = np.diff(measurements.stamps[there[:, 0]])
+        spread = unknown[POSE] + unknown[VELOCITY] * since**2
+        volumes = np.linalg.slogdet(np.eye(6) + spread[:, None, :, None] * information[:, :1])[1]
         return cls(
             measurements.rotations,
             measurements.translations,

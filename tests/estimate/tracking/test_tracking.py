@@ -114,6 +114,15 @@ def test_a_wrong_branch_of_poses_that_hardly_move_is_stated():
     assert np.mean(said) > 0.3 * np.mean(wrong)
 
 
+def test_poses_a_second_apart_are_no_wrong_ones_because_nothing_foretells_them():
+    rng = np.random.default_rng(5)
+    stamps = np.arange(8.0)
+    turns = so3.exp(rng.normal(0, 0.4, (8, 3))) @ MIDDLE.rotation
+    truth = Trajectory("camera_T_object", stamps, turns, MIDDLE.translation + rng.normal(0, 0.15, (8, 3)))
+    track = follow(truth, glances(truth, rng, scale=1e-2), noise=ProcessNoise(1.0, 1.0))
+    assert track.count(MEASURED) >= 7
+
+
 @pytest.mark.slow
 def test_a_pass_that_starts_on_the_wrong_branch_is_corrected_by_the_one_in_reverse():
     stamps, rotations, camera, views, poses = small_tag(1, frames=90)
