@@ -58,11 +58,14 @@ class Searched:
         return weights / (1 + weights)
 
 
-def searched(found: NoiseFit, other: NoiseFit, flat: ObjectPlane | None) -> Searched:
+def searched(found: NoiseFit, other: NoiseFit | None, flat: ObjectPlane | None) -> Searched:
     """Return the track with the stretches turned over that are better so.
 
-    other: a track of the same frames from another start. flat: the object's plane, None if it has none.
+    other: a track of the same frames from another start, None if there is none. flat: the object's plane, if it has
+    one.
     """
+    if other is None:
+        return _turned_where_better(found, flat)
     if other.evidence < found.evidence:
         found, other = other, found
     result = _turned_where_better(found, flat)

@@ -154,7 +154,7 @@ class FreeMotion:
 
 def difference(after: MotionState, before: MotionState) -> Array:
     """Return the steps (..., S) that lead from states to others."""
-    turn = so3.log(after.rotations @ before.rotations.swapaxes(-1, -2))
+    turn = rotation_vectors(after.rotations @ before.rotations.swapaxes(-1, -2))
     rates = (after.rates - before.rates).reshape(*after.rates.shape[:-2], -1)
     return np.concatenate([after.translations - before.translations, turn, rates], axis=-1)
 

@@ -18,7 +18,7 @@ from camcal.estimate.tracking.flips import FAR, Searched, searched
 from camcal.estimate.tracking.free_motion import POSE, FreeMotion, MotionState, ObjectPlane, difference
 from camcal.estimate.tracking.hypotheses import BEGUN, MEASURED, Candidates, Forward, Hypotheses
 from camcal.estimate.tracking.jitter import JitterStd
-from camcal.estimate.tracking.measurements import PoseMeasurements
+from camcal.estimate.tracking.measurements import LEAST, PoseMeasurements
 from camcal.estimate.tracking.pixel_batch import Chains
 from camcal.estimate.tracking.pixel_costs import FrameCosts, PixelFrames
 from camcal.estimate.tracking.process_noise import NoiseFit, ProcessNoise
@@ -115,7 +115,8 @@ def follow_frames(
         if abs(factor - 1) > _NOTED:
             run = replace(run, frames=frames.with_noise(factor))
     second, forward = run.followed(best.track.motion, best.jitter_std, tune=tune)
-    result = searched(second, run.backwards(second, tune=tune), flat)
+    rivalled = _Path.of(forward, len(run.stamps) - 1).rivalled
+    result = searched(second, run.backwards(second, tune=tune) if rivalled else None, flat)
     return run.whole(forward, result, noise) if lag is None else run.with_lag(forward, second, result, lag, noise)
 
 
@@ -283,24 +284,41 @@ def _best_kind(forward: Forward, frame: int) -> int:
 
 @dataclass(frozen=True, eq=False)
 class _Path:
-    """The course of the best hypothesis: the first frame, smoothed states, kinds (M) and surprises (M, 6)."""
+    """The course of the best hypothesis: what was known at M frames, from the first one on, and which led to it."""
 
     first: int
-    states: MotionState
-    kinds: Array
-    surprises: Array
+    known: list[tuple[Hypotheses, int]]
 
     @classmethod
     def of(cls, forward: Forward, last: int) -> "_Path":
         steps = forward.path(last)
         at = [(forward.frames[frame], which) for frame, which in steps]
-        known = [(hypothesis, which) for hypothesis, which in at if hypothesis is not None]
-        return cls(
-            steps[0][0],
-            _smoothed(known),
-            np.array([each.kinds[which] for each, which in known]),
-            np.array([each.surprises[which] for each, which in known]),
-        )
+        return cls(steps[0][0], [(hypotheses, which) for hypotheses, which in at if hypotheses is not None])
+
+    @property
+    def states(self) -> MotionState:
+        """The states (M), smoothed back."""
+        return _smoothed(self.known)
+
+    @property
+    def kinds(self) -> Array:
+        """What the frames (M) were to it."""
+        return np.array([each.kinds[which] for each, which in self.known])
+
+    @property
+    def surprises(self) -> Array:
+        """The whitened innovations (M, 6)."""
+        return np.array([each.surprises[which] for each, which in self.known])
+
+    @property
+    def rivalled(self) -> bool:
+        """Whether another pose was likely in more than a few frames: then it may have been given up too early."""
+        frames = 0
+        for each, which in self.known:
+            if len(each.costs) > 1:
+                rotations = each.states.rotations
+                frames += bool((so3.angle_between(rotations, rotations[which]) > FAR).any())
+        return frames >= LEAST
 
 
 def _smoothed(known: list[tuple[Hypotheses, int]]) -> MotionState:
