@@ -36,8 +36,9 @@ class PoseFrames:
     floors: Array
     gates: Array
     coordinates: ClassVar[int] = 6
-    # A normal density is wide and flat where two minima meet; factor by which probabilities hold (docs/benchmarks.md).
-    overstated: ClassVar[float] = 4.0
+    # Near the frontal view a normal density is not the likelihood, and neighbouring frames have the same error of it:
+    # so many frames count as one (docs/mathematics.md).
+    overstated: ClassVar[float] = 8.0
 
     @classmethod
     def of(cls, measurements: PoseMeasurements, unknown: Array, gate: float) -> "PoseFrames":
