@@ -31,7 +31,7 @@ from camcal.raw.develop import linearise
 from camcal.raw.mosaic import Mosaic
 from camcal.raw.options import ImageReadOptions
 from camcal.run.fanout import fan_out
-from camcal.simulate.mosaics import filtered, lenses
+from camcal.simulate.mosaics import filter_mosaic, lenses
 from camcal.simulate.render import Exposure, evenly_lit, light
 from camcal.simulate.scene import views
 from camcal.targets.board import Board
@@ -91,7 +91,7 @@ def corner_errors(boards: int, blur: float, work: tuple[str, int]) -> dict[str, 
     seen = {camera: evenly_lit(camera, BOARD, pose, exposure) * shade for camera in set(cameras.values())}
     brightness = {colour: seen[camera] for colour, camera in cameras.items()}
     weights = dict(zip("RGB", condition.light, strict=True))
-    mosaic = filtered(PATTERN, {colour: weights[colour] * image for colour, image in brightness.items()})
+    mosaic = filter_mosaic(PATTERN, {colour: weights[colour] * image for colour, image in brightness.items()})
     rng = np.random.default_rng([number, condition.noisy])
     frames = [
         Mosaic(counts(image, condition.noisy, rng), PATTERN, np.full((2, 2), BLACK), WHITE)

@@ -22,7 +22,7 @@ import cv2
 import numpy as np
 from real_sets import DATA
 
-from camcal.calibrate.rigs.captures import Captures
+from camcal.calibrate.rigs.record import Captures
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera, CameraModel
 from camcal.errors import CamcalError

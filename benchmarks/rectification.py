@@ -33,8 +33,7 @@ from camcal.cameras.validity import ImageCircle
 from camcal.errors import CamcalError
 from camcal.geometry.pose import Pose
 from camcal.images.image import Scratch
-from camcal.stereo.rectify.maps import build_pair_maps
-from camcal.stereo.rectify.plan import plan_rectification
+from camcal.stereo.rectify.plan import build_pair_maps, plan_rectification
 from camcal.stereo.rectify.record import Rectification
 
 COLUMNS = ("right", "refused", "reason said", "kept < 85 %", "empty", "turned", "mirrored", "negative focal length")

@@ -25,7 +25,7 @@ import cv2
 import numpy as np
 from rig_programs import camcal_rig
 
-from camcal.calibrate.rigs.captures import Captures
+from camcal.calibrate.rigs.record import Captures
 from camcal.cameras.catalogue import model_named
 from camcal.errors import CamcalError
 from camcal.run.fanout import fan_out

@@ -38,8 +38,7 @@ import numpy as np
 from real_rigs import CACHE, CAMCAL, RIGS, aligned, captures_of, common_pixels, epipolar_errors
 from rig_programs import camcal_rig, opencv_rigs
 
-from camcal.calibrate.rigs.captures import Captures
-from camcal.calibrate.rigs.record import RigCalibration
+from camcal.calibrate.rigs.record import Captures, RigCalibration
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import CameraModel
 from camcal.errors import CamcalError

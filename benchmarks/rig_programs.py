@@ -11,8 +11,7 @@ from real_rigs import LEAST_CORNERS, Rig
 from camcal.calibrate.fit import ShapeOptions
 from camcal.calibrate.intrinsics import Options, calibrate
 from camcal.calibrate.rigs.calibrate import calibrate_rig
-from camcal.calibrate.rigs.captures import Captures
-from camcal.calibrate.rigs.record import FIXED, RigCalibration, RigOptions
+from camcal.calibrate.rigs.record import FIXED, Captures, RigCalibration, RigOptions
 from camcal.cameras.model import Camera, CameraModel
 from camcal.errors import InsufficientData
 from camcal.geometry.pose import Pose

@@ -29,7 +29,7 @@ import numpy as np
 from rig_programs import camcal_rig, matrix_of, opencv_lens
 
 from camcal.calibrate.intrinsics import Options, calibrate
-from camcal.calibrate.rigs.captures import Captures
+from camcal.calibrate.rigs.record import Captures
 from camcal.cameras.catalogue import model_named
 from camcal.geometry import rotation as so3
 from camcal.targets.board import Board

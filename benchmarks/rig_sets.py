@@ -31,7 +31,7 @@ import numpy as np
 from real_rigs import CACHE, CAMCAL, OPENCV, OPENCV_SB, RIGS, Rig, aligned, captures_of, epipolar_errors
 from rig_programs import FLAT, as_rig, camcal_rig, fixed_lenses, opencv_rigs
 
-from camcal.calibrate.rigs.captures import Captures
+from camcal.calibrate.rigs.record import Captures
 from camcal.cameras.model import CameraModel
 from camcal.errors import CamcalError
 from camcal.targets.board import Board

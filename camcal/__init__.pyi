@@ -1,7 +1,7 @@
 # The public names of camcal and where they are: the one list, for type checkers and for `import camcal`.
 
 from camcal.calibrate.intrinsics import Calibration as Calibration
-from camcal.calibrate.rigs.captures import Captures as Captures
+from camcal.calibrate.rigs.record import Captures as Captures
 from camcal.calibrate.rigs.record import RigCalibration as RigCalibration
 from camcal.cameras.catalogue import MODELS as MODELS
 from camcal.cameras.catalogue import model_named as model_named
@@ -80,9 +80,9 @@ from camcal.stereo.matching.match import match as match_pair
 from camcal.stereo.options import MatchOptions as MatchOptions
 from camcal.stereo.points.cloud import CloudMaker as CloudMaker
 from camcal.stereo.points.depth import StereoImage as StereoImage
-from camcal.stereo.rectify.maps import PairMaps as PairMaps
-from camcal.stereo.rectify.maps import build_pair_maps as build_pair_maps
 from camcal.stereo.rectify.options import RectifiedViewOptions as RectifiedViewOptions
+from camcal.stereo.rectify.plan import PairMaps as PairMaps
+from camcal.stereo.rectify.plan import build_pair_maps as build_pair_maps
 from camcal.stereo.rectify.plan import plan_rectification as plan_rectification
 from camcal.stereo.rectify.record import Rectification as Rectification
 from camcal.targets.board import Board as Board

@@ -1,9 +1,8 @@
 """docs/benchmarks.md from its text and the results that the scripts of benchmarks/ printed.
 
-Run as a script, this writes the page anew; with --record NAME -- COMMAND it runs a command and keeps its output first.
+generated_pages.py writes the page; with --record NAME -- COMMAND it runs a command and keeps its output first.
 """
 
-import argparse
 import os
 import platform
 import re
@@ -76,12 +75,6 @@ def record(name: str, command: list[str], versions: str) -> None:
     (RESULTS / f"{name}.txt").write_text("\n".join([*head, "", printed.rstrip("\n"), ""]), encoding="utf-8")
 
 
-if __name__ == "__main__":
-    asked = argparse.ArgumentParser(description=__doc__)
-    asked.add_argument("--record", metavar="NAME", help="run COMMAND and write its output to results/NAME.txt first")
-    asked.add_argument("--versions", default="", help="versions of other programs, such as 'mrcal 2.2'")
-    asked.add_argument("command", nargs="*", metavar="COMMAND", help="after --")
-    given = asked.parse_args()
-    if given.record:
-        record(given.record, given.command, given.versions)
-    PAGE.write_text(page(TEMPLATE.read_text(encoding="utf-8"), results()), encoding="utf-8")
+def generated() -> dict[Path, str | None]:
+    """Return the text of the page."""
+    return {PAGE: page(TEMPLATE.read_text(encoding="utf-8"), results())}

@@ -1,7 +1,7 @@
 """docs/commands.md and docs/commands/ beside the help of the commands: what the pages say, and what they should say.
 
-Run as a script, this writes the list of commands, and on the page of each its synopsis and options, anew from `--help`;
-a command without a page gets one. It writes the manual pages too (man_pages.py).
+Generated are the list of commands, and on the page of each its synopsis and options, from `--help`; a command without a
+page gets one. generated_pages.py writes them.
 """
 
 from pathlib import Path
@@ -95,11 +95,9 @@ def first_page(name: str) -> str:
     return f"# camcal {name}\n\n{REGISTERED[name].help}\n\n<!-- options of camcal {name} -->\n<!-- end -->\n"
 
 
-if __name__ == "__main__":
-    INDEX.write_text(with_block(INDEX.read_text(encoding="utf-8"), "commands", listed()), encoding="utf-8")
-    for each in REGISTERED:
-        text = page_of(each).read_text(encoding="utf-8") if page_of(each).exists() else first_page(each)
-        page_of(each).write_text(with_options(each, text), encoding="utf-8")
-    from man_pages import write
-
-    write()
+def generated() -> dict[Path, str | None]:
+    """Return the texts of the list of commands and of the pages of all."""
+    index = INDEX.read_text(encoding="utf-8")
+    found = {name: page_of(name).read_text(encoding="utf-8") for name in REGISTERED if page_of(name).exists()}
+    texts = {page_of(name): with_options(name, found.get(name, first_page(name))) for name in REGISTERED}
+    return {INDEX: with_block(index, "commands", listed()), **dict.fromkeys(FOLDER.glob("*.md")), **texts}

@@ -1,6 +1,6 @@
 """The tables of lens models and camera formats in docs/formats.md, as models and formats describe themselves.
 
-Run as a script, this writes them anew.
+generated_pages.py writes them.
 """
 
 from collections.abc import Iterable
@@ -49,6 +49,6 @@ def _with_table(page: str, start: str, lines: Iterable[str]) -> str:
     return before + start + "\n".join([*lines, ""]) + _END + rest.partition(_END)[2]
 
 
-if __name__ == "__main__":
-    written = with_formats(with_models(PAGE.read_text(encoding="utf-8"), MODELS.values()), FORMATS.values())
-    PAGE.write_text(written, encoding="utf-8")
+def generated() -> dict[Path, str | None]:
+    """Return the text of the page."""
+    return {PAGE: with_formats(with_models(PAGE.read_text(encoding="utf-8"), MODELS.values()), FORMATS.values())}

@@ -1,6 +1,6 @@
 """docs/man/: a manual page of camcal and of every command and group, made from the declarations that --help shows.
 
-`python tests/command_page.py` writes them anew. They are installed with the package, below share/man.
+generated_pages.py writes them. They are installed with the package, below share/man.
 """
 
 import re
@@ -138,17 +138,6 @@ def pages() -> dict[str, str]:
     return {f"{title(name)}.1": text for name, text in made.items()}
 
 
-def stale(folder: Path) -> list[str]:
-    """Return the names of pages that are missing, are not what they should be, or should not be there."""
-    made = pages()
-    found = {path.name: path.read_text(encoding="utf-8") for path in folder.iterdir()}
-    return sorted(name for name in made | found if made.get(name) != found.get(name))
-
-
-def write() -> None:
-    """Write all pages anew."""
-    FOLDER.mkdir(parents=True, exist_ok=True)
-    for path in FOLDER.iterdir():
-        path.unlink()
-    for file, text in pages().items():
-        (FOLDER / file).write_text(text, encoding="utf-8", newline="\n")
+def generated(folder: Path = FOLDER) -> dict[Path, str | None]:
+    """Return the texts of the files of all pages."""
+    return {**dict.fromkeys(folder.iterdir()), **{folder / file: text for file, text in pages().items()}}

@@ -1,6 +1,6 @@
 """docs/messages.md as the code describes its messages.
 
-Run as a script, this writes the page anew.
+generated_pages.py writes it.
 """
 
 from collections.abc import Iterable, Mapping
@@ -27,5 +27,6 @@ def with_codes(page: str, areas: Mapping[str, Mapping[str, str]], criteria: Iter
     return "\n".join(parts) + "\n"
 
 
-if __name__ == "__main__":
-    PAGE.write_text(with_codes(PAGE.read_text(encoding="utf-8"), CODES, CRITERIA.values()), encoding="utf-8")
+def generated() -> dict[Path, str | None]:
+    """Return the text of the page."""
+    return {PAGE: with_codes(PAGE.read_text(encoding="utf-8"), CODES, CRITERIA.values())}

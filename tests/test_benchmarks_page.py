@@ -7,6 +7,7 @@ from pathlib import Path
 import benchmarks_page
 import pytest
 from benchmarks_page import PAGE, TEMPLATE, Result, page, parsed, record, results, used
+from generated_pages import WRITE
 
 PROJECT = Path(__file__).parents[1]
 TEXT = TEMPLATE.read_text(encoding="utf-8")
@@ -16,7 +17,7 @@ def test_the_page_is_the_text_with_the_results():
     found = results()
     changed = found | {"rig_faults": Result(("true",), "", "nothing")}
     assert page(TEXT, changed) != PAGE.read_text(encoding="utf-8")
-    assert page(TEXT, found) == PAGE.read_text(encoding="utf-8"), "run: python tests/benchmarks_page.py"
+    assert page(TEXT, found) == PAGE.read_text(encoding="utf-8"), WRITE
 
 
 def test_every_result_is_shown_and_no_table_stands_in_the_text():

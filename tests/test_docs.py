@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 import typer
 from command_page import EVERYWHERE, INDEX, REGISTERED, ROOT, commands, listed, page_of, pages, stale
+from generated_pages import WRITE
 from run_page import PAGES as RUN
 from run_page import steps as steps_of
 from typer.core import TyperGroup
@@ -79,14 +80,14 @@ def test_every_command_and_option_has_help():
 
 def test_the_list_of_commands_is_that_of_the_help():
     assert listed() not in text_of(INDEX).replace("Show a camera file", "Show a lens")
-    assert listed() in text_of(INDEX), "run: python tests/command_page.py"
+    assert listed() in text_of(INDEX), WRITE
 
 
 def test_the_page_of_a_command_has_every_option_as_the_help_says_it():
     found = pages()
     assert stale(found | {"inspect": found["inspect"].replace("`--get KEY`", "`--git KEY`")}) == ["inspect"]
     assert stale({name: text for name, text in found.items() if name != "inspect"}) == ["inspect"]
-    assert stale(found) == [], "run: python tests/command_page.py"
+    assert stale(found) == [], WRITE
 
 
 def test_every_command_has_a_page_and_there_are_no_others():
@@ -204,7 +205,7 @@ def known_options() -> set[str]:
     """Return the options of all commands, of the scripts of benchmarks, and of other tools that pages speak of."""
     parameters = [parameter for command in REGISTERED.values() for parameter in command.params]
     found = {spelling for each in parameters for spelling in (*each.opts, *each.secondary_opts)}
-    for script in (PROJECT / "tests" / "benchmarks_page.py", *(PROJECT / "benchmarks").glob("*.py")):
+    for script in (PROJECT / "tests" / "generated_pages.py", *(PROJECT / "benchmarks").glob("*.py")):
         found |= set(re.findall(r'add_argument\("(--[a-z-]+)"', text_of(script)))
     return found | OTHER_TOOLS | {"--help", "--version", "--install-completion"}
 

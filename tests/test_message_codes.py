@@ -4,6 +4,7 @@ import ast
 from collections.abc import Iterator
 from pathlib import Path
 
+from generated_pages import WRITE
 from messages_page import PAGE, with_codes
 from test_layers import modules
 
@@ -41,7 +42,7 @@ def test_meanings_differ():
 
 def test_the_page_lists_all_codes():
     page = PAGE.read_text(encoding="utf-8")
-    assert with_codes(page, CODES, CRITERIA.values()) == page, "run: python tests/messages_page.py"
+    assert with_codes(page, CODES, CRITERIA.values()) == page, WRITE
 
 
 def test_a_message_says_where_and_keeps_its_place():

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from camcal.cli import show
-from camcal.cli.plain_data import plain
+from camcal.cli.show import plain
 from camcal.errors import InvalidInput
 from camcal.files import STANDARD
 from camcal.images import limits
@@ -33,7 +33,7 @@ class Call:
 
     def once(self, options: Any, output: Path | None, work: Callable[[], None], *, resume: bool) -> None:
         """Do the work of a command with one result, unless it is to be resumed and an earlier run has done the same."""
-        from camcal.run.finished import Finished
+        from camcal.run.journal import Finished
 
         if not resume or output is None or str(output) == STANDARD:
             work()

@@ -82,10 +82,10 @@ class OptionsCommand(TyperCommand):
                 formatter.write_dl(rows)
         with formatter.section("Examples"):
             calls = examples.calls(self.full_name)
-            formatter.write("".join(f"  {line}\n" for line in _continued(calls, formatter.width - 2)))
+            formatter.write("".join(f"  {line}\n" for line in _continue(calls, formatter.width - 2)))
 
 
-def _continued(calls: Iterable[str], most: int) -> Iterator[str]:
+def _continue(calls: Iterable[str], most: int) -> Iterator[str]:
     """Yield the lines of shell commands, a longer one continued on the next line."""
     for call in calls:
         if len(call) <= most:
@@ -283,7 +283,7 @@ def _show_examples(context: typer.Context, wanted: bool) -> None:
     if not wanted:
         return
     command: Any = context.command
-    for line in _continued(examples.script(command.full_name), show.width()):
+    for line in _continue(examples.script(command.full_name), show.width()):
         show.value(line)
     raise typer.Exit
 

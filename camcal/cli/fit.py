@@ -55,7 +55,9 @@ def _show(report: "FitReport", options: FitOptions, verbose: bool) -> None:
         show.text(f"derivatives agree with the {report.check.method} step to {report.check.error:.1e}")
     _show_comparison(report)
     if options.trace == TABLE:
-        _show_trace(report)
+        from camcal.tasks.curves.fit_report import TRACE_COLUMNS, trace_rows
+
+        show.table("iterations", TRACE_COLUMNS, trace_rows(report.turns))
     show.wrote(*options.outputs(), show.several(report.figures, "figure"))
 
 
@@ -91,12 +93,6 @@ def _show_comparison(report: "FitReport") -> None:
     show.text(f"preferred: {words[comparison.preferred]}")
     if comparison.f is not None:
         show.text(f"F {comparison.f:.4g}, p {comparison.p_value:.3g}, if the models are nested")
-
-
-def _show_trace(report: "FitReport") -> None:
-    from camcal.tasks.curves.fit_report import TRACE_COLUMNS, trace_rows
-
-    show.table("iterations", TRACE_COLUMNS, trace_rows(report.turns))
 
 
 def _cells(estimate: "Estimate") -> list[object]:

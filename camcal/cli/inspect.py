@@ -1,17 +1,19 @@
-"""`camcal inspect`."""
+"""`camcal inspect` and `camcal convert`: what files hold, and camera files in other formats."""
 
+import json
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from camcal.cli import show
-from camcal.cli.call import ImageCall
+from camcal.cli.call import Call, ImageCall
 from camcal.files import STANDARD
 from camcal.report.table import Column
-from camcal.tasks.options import CAMERA_SUFFIXES, InspectOptions
+from camcal.tasks.options import CAMERA_SUFFIXES, ConvertFileOptions, InspectOptions
 
 if TYPE_CHECKING:
     from camcal.tasks.calibration.inspect import Inspection
+    from camcal.tasks.convert import ConvertReport
     from camcal.tasks.raw.inspect_raw import RawInspection
     from camcal.tasks.rigs.inspect_rig import RigInspection
 
@@ -84,17 +86,10 @@ def _inspect_camera(options: InspectOptions, call: ImageCall) -> None:
         if call.json:
             show.result("inspect", {"file": options.address[0], "key": options.get, "value": value})
         else:
-            show.value(_one_value(value))
+            show.value(value if isinstance(value, str) else json.dumps(value))  # a shell writes numbers as JSON does
         return
     warn_of(inspection.file.warnings, call.progress)
     call.give(lambda: document(inspection), lambda: _show(inspection, options, call.verbose))
-
-
-def _one_value(value: Any) -> str:
-    """Return a value for a shell: a text as it is, everything else as JSON, which is how a shell writes numbers."""
-    from json import dumps
-
-    return value if isinstance(value, str) else dumps(value)
 
 
 def _show(inspection: "Inspection", options: InspectOptions, verbose: bool) -> None:
@@ -134,3 +129,24 @@ def _show_rig(rig: "RigInspection") -> None:
             show.table(title, DEPTH_COLUMNS, rows)
     if isinstance(error := rig.measured.get("epipolar_rms_px"), float):
         show.text(f"Epipolar error of the calibration images {error:.3f} px RMS")
+
+
+def convert(options: ConvertFileOptions, call: Call) -> None:
+    """Convert a camera file: camcal's own, OpenCV's FileStorage (YAML, XML, JSON), ROS camera_info, Kalibr's camchain.
+
+    The format of IN follows from its content, that of each OUT from its suffix or --to. Lenses are written exactly or
+    refused, unless --max-error accepts the nearest one. What else is known and a format does not store is named.
+    """
+    from camcal.tasks.convert import convert as run
+    from camcal.tasks.convert import document
+
+    report = run(options, call.progress)
+    call.give(lambda: document(report), lambda: _show_converted(report))
+
+
+def _show_converted(report: "ConvertReport") -> None:
+    from camcal.tasks.convert import words
+
+    for converted in report.files:
+        show.text(words(converted))
+    show.wrote(*report.outputs)

@@ -44,9 +44,9 @@ COMMANDS = (
     Entry("rig", "rig:rig", "Calibrate several cameras together."),
     Entry("report", "reports:report", "Write a report as one HTML file."),
     Entry("rerun", "reports:rerun", "Calibrate again from a report and compare."),
-    Entry("undistort", "undistort:undistort", "Undistort images, videos or points."),
-    Entry("plot", "plot:plot", "Draw figures of result files."),
-    Entry("convert", "convert:convert", "Convert camera files from and to OpenCV, ROS and Kalibr."),
+    Entry("undistort", "calibrate:undistort", "Undistort images, videos or points."),
+    Entry("plot", "reports:plot", "Draw figures of result files."),
+    Entry("convert", "inspect:convert", "Convert camera files from and to OpenCV, ROS and Kalibr."),
     Entry("inspect", "inspect:inspect", "Show a camera file or a raw frame."),
     Entry("demosaic", "raw:demosaic", "Demosaic raw frames."),
     Entry("sensor", "raw:sensor", "Measure a sensor by photon transfer (EMVA 1288)."),
@@ -91,7 +91,7 @@ class Commands(MutableMapping[str, Any]):
 
     def __getitem__(self, name: str) -> Any:
         if name not in self.made:
-            self.made[name] = _made(self.entries[name])
+            self.made[name] = _make_command(self.entries[name])
         return self.made[name]
 
     def __setitem__(self, name: str, command: Any) -> None:
@@ -144,7 +144,7 @@ class CommandGroup(TyperGroup):
         return found + super(TyperGroup, self).shell_complete(ctx, incomplete)
 
 
-def _made(entry: Entry) -> Any:
+def _make_command(entry: Entry) -> Any:
     """Return a command with what it imports, or a group."""
     if not entry.function:
         return CommandGroup(name=entry.name, above=entry.name, help=entry.summary, rich_markup_mode=None)
@@ -186,7 +186,7 @@ class Boundary(CommandGroup):
             return 0
         if isinstance(error, typer.TyperException):
             error = _usage_error(error, self.named_in(arguments))
-        code, kind, message, where = _described(error)
+        code, kind, message, where = _describe(error)
         if isinstance(error, (KeyboardInterrupt, Stopped)):
             message += self.what_is_left(arguments)
         if code != EXIT_BUG:
@@ -242,7 +242,7 @@ def _usage_error(error: typer.TyperException, command: str) -> InvalidInput:
     return InvalidInput(words, where=line) if line else InvalidInput(f"{words}; see '{command} --help'")
 
 
-def _described(error: BaseException) -> tuple[int, str, str, str | None]:
+def _describe(error: BaseException) -> tuple[int, str, str, str | None]:
     """Return exit code, kind, message and place of an error."""
     if (known := translated(error)) is not None:
         return known.exit_code, known.kind, known.message, known.where

@@ -44,7 +44,7 @@ def _tell(each: "StepReport", *, call: ImageCall) -> None:
 
 
 def _show(report: "PipelineReport", options: PipelineOptions, verbose: bool) -> None:
-    from camcal.report.value_histogram import value_histogram
+    from camcal.report.letters import value_histogram
     from camcal.tasks.pipelines import summary
 
     if options.dry_run:

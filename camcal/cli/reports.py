@@ -1,14 +1,35 @@
-"""`camcal report` and `camcal rerun`."""
+"""`camcal plot`, `camcal report` and `camcal rerun`: figures and reports of result files."""
 
 from typing import TYPE_CHECKING
 
 from camcal.cli import show
 from camcal.cli.call import Call
+from camcal.tasks.options import PlotOptions
 from camcal.tasks.reports.options import ReportOptions, RerunOptions
 
 if TYPE_CHECKING:
+    from camcal.tasks.plot import PlotReport
     from camcal.tasks.reports.report import Reported
     from camcal.tasks.reports.rerun import Rerun
+
+
+def plot(options: PlotOptions, call: Call) -> None:
+    """Draw figures of result files: camera and rig files, detections, poses, trajectories, disparity maps and others.
+
+    What a file is follows from its content. Figures are PNG, SVG or PDF with units on their axes and colours for any
+    colour vision; their captions are in figures.md.
+    """
+    from camcal.tasks.plot import document
+    from camcal.tasks.plot import plot as run
+
+    report = run(options, call.progress)
+    call.give(lambda: document(report), lambda: _show_plots(report))
+
+
+def _show_plots(report: "PlotReport") -> None:
+    for each in report.drawn:
+        show.text(f"{each.path}: {each.kind}: {', '.join(plot.name for plot in each.plots)}")
+    show.wrote(show.several(report.figures, "figure"))
 
 
 def report(options: ReportOptions, call: Call) -> None:

@@ -1,6 +1,7 @@
 """What commands print: text, tables and JSON documents to stdout; progress, warnings and errors to stderr."""
 
 import json
+import math
 import os
 import re
 import shutil
@@ -9,11 +10,10 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from dataclasses import dataclass, field
-from pathlib import Path
+from io import StringIO
+from pathlib import Path, PurePath
 from typing import Any, TextIO
 
-from camcal.cli.kept_output import KEPT
-from camcal.cli.plain_data import plain
 from camcal.cli.progress_bar import ProgressBar
 from camcal.errors import FileError, in_one_line, reason
 from camcal.files import STANDARD
@@ -28,6 +28,7 @@ LISTED = 10  # rows and lines of a list, unless all are asked for
 
 _BOLD_GREEN, _BOLD_RED, _PLAIN = "\x1b[1;32m", "\x1b[1;31m", "\x1b[0m"
 _NARROWEST = 40  # cells: no line is made shorter
+_SIGNIFICANT_DIGITS = 12
 _LONGEST = 4000  # characters of a line on stderr
 _QUOTED = 100  # characters of a quotation that is shortened
 _QUOTATION = re.compile(r"""(['"])((?:(?!\1).){200,})\1""")
@@ -51,6 +52,15 @@ class Session:
         document(self.command or command, {**self.result, "warnings": as_data(self.warnings), **failed, **error})
 
 
+@dataclass
+class Kept:
+    """What was not printed: to stdout, and to stderr as kinds and messages."""
+
+    text: StringIO = field(default_factory=StringIO)
+    messages: list[tuple[str, str]] = field(default_factory=list)
+
+
+KEPT: ContextVar[Kept | None] = ContextVar("kept", default=None)
 _session: ContextVar[Session | None] = ContextVar("session", default=None)
 _aside: ContextVar[bool] = ContextVar("aside", default=False)
 
@@ -151,6 +161,17 @@ def aside() -> Iterator[None]:
         _aside.reset(token)
 
 
+@contextmanager
+def kept() -> Iterator[Kept]:
+    """Yield what takes all that the block would print, for whoever called a command as a part of something else."""
+    printed = Kept()
+    token = KEPT.set(printed)
+    try:
+        yield printed
+    finally:
+        KEPT.reset(token)
+
+
 def _stream() -> TextIO | None:
     if (found := KEPT.get()) is not None:
         return found.text
@@ -243,6 +264,19 @@ def document(command: str, payload: Mapping[str, Any]) -> None:
     """
     schema = f"camcal/{command.replace(' ', '-')}/1"
     value(json.dumps({"schema": schema, **plain(payload)}, indent=2, allow_nan=False))
+
+
+def plain(value: Any) -> Any:
+    """Return a value as JSON takes it: 12 significant digits, null for NaN, lists for arrays, texts for paths."""
+    if hasattr(value, "tolist"):  # numpy arrays and scalars, without importing numpy
+        value = value.tolist()
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain(item) for item in value]
+    if isinstance(value, float):
+        return float(f"{value:.{_SIGNIFICANT_DIGITS}g}") if math.isfinite(value) else None
+    return str(value) if isinstance(value, PurePath) else value
 
 
 def result(command: str, payload: Mapping[str, Any]) -> None:
@@ -340,11 +374,11 @@ def _lines(kind: str, message: str) -> Iterator[str]:
     On a terminal they end at words.
     """
     for line in map(printable, message.split("\n")):
-        said = f"camcal: {kind}: {_shortened(line)}"
+        said = f"camcal: {kind}: {_shorten(line)}"
         yield from wrapped(said, width()) if sys.stderr.isatty() else [said]
 
 
-def _shortened(line: str) -> str:
+def _shorten(line: str) -> str:
     """Return a line with long quotations of files shortened, ending at a word where it would be too long."""
     line = _QUOTATION.sub(lambda found: f"{found[1]}{found[2][:_QUOTED]} …{found[1]}", line)
     if len(line) <= _LONGEST:

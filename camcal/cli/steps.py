@@ -9,8 +9,7 @@ from typing import Any, get_type_hints
 
 from camcal import files, urls
 from camcal.cli.call import ImageCall
-from camcal.cli.kept_output import kept
-from camcal.cli.plain_data import plain
+from camcal.cli.show import kept, plain
 from camcal.errors import EXIT_BUG, ItemsFailed, translated
 from camcal.messages import Message
 from camcal.options import declared

@@ -292,7 +292,7 @@ def _show_errors(report: "EvalReport", verbose: bool) -> None:
         line = f"gate {verdict.gate} {'passed' if verdict.passed else 'FAILED'}: {verdict.value:.4g}"
         show.verdict(line, good=verdict.passed)
     in_full = verbose or len(report.outcomes) == 1
-    show.lines(["\n".join(_compared(pair, in_full=in_full)) for pair in report.pairs], verbose)
+    show.lines(["\n".join(_pair_lines(pair, in_full=in_full)) for pair in report.pairs], verbose)
     title = "errors" if len(report.outcomes) == 1 else f"mean over {len(report.pairs)} maps"
     show.table(title, ["", *report.mean.figures], figure_rows(report.mean))
     if report.mean.classes:
@@ -301,8 +301,8 @@ def _show_errors(report: "EvalReport", verbose: bool) -> None:
     show.wrote(show.several(pictures, "picture"), show.several(report.figures, "figure"))
 
 
-def _compared(pair: "PairReport", *, in_full: bool) -> Iterator[str]:
-    disparity, truth = _counted(pair.files.disparity, pair.scale), _counted(pair.files.truth, pair.truth_scale)
+def _pair_lines(pair: "PairReport", *, in_full: bool) -> Iterator[str]:
+    disparity, truth = _file_words(pair.files.disparity, pair.scale), _file_words(pair.files.truth, pair.truth_scale)
     yield f"{disparity} against {truth}"
     if not in_full:
         return
@@ -312,7 +312,7 @@ def _compared(pair: "PairReport", *, in_full: bool) -> Iterator[str]:
         yield f"  fx {geometry.fx:g} px, baseline {geometry.baseline:g} m, doffs {geometry.doffs:g} px"
 
 
-def _counted(path: Path, scale: float) -> str:
+def _file_words(path: Path, scale: float) -> str:
     """Return the file, and what its counts are divided by where they are not pixels already."""
     return str(path) if scale == 1 else f"{path} (count / {scale:g})"
 

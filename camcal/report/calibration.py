@@ -146,15 +146,16 @@ def view_record(view: View) -> dict[str, Any]:
 def as_data(calibration: Calibration) -> dict[str, Any]:
     """Return everything of a calibration that a program may want, as plain data; lengths in `board_shape.unit`."""
     camera, surface = calibration.camera, calibration.surface
+    noise = replace(camera, covariance=calibration.noise_covariance)  # if noise were all that is wrong with the corners
     return {
         "model": camera.model.name,
         "image_size": list(camera.image_size),
         "parameters": {name: camera.value(name) for name in camera.model.parameter_names},
         "std": {name: camera.std(name) for name in camera.model.parameter_names},
         "held_by_prior": list(calibration.held_by_prior),
-        "noise_std": _noise_std(calibration),
+        "noise_std": {name: noise.std(name) for name in noise.model.parameter_names},
         "within_views": _within_views(calibration),
-        "two_cameras": _two_cameras(calibration),
+        "two_cameras": None if calibration.two_cameras is None else dict(vars(calibration.two_cameras)),
         "rms_px": calibration.rms_px,
         "sigma_px": calibration.sigma_px,
         "model_error_px": calibration.model_error_px,
@@ -208,16 +209,5 @@ def _within_views(calibration: Calibration) -> dict[str, Any]:
     }
 
 
-def _two_cameras(calibration: Calibration) -> dict[str, Any] | None:
-    found = calibration.two_cameras
-    return None if found is None else dict(vars(found))
-
-
 def _four_digits(values: Array) -> list[list[float]]:
     return [[float(f"{value:.4g}") for value in row] for row in values.tolist()]
-
-
-def _noise_std(calibration: Calibration) -> dict[str, float | None]:
-    """Return the standard deviations of the lens parameters if noise were all that is wrong with the corners."""
-    noise = replace(calibration.camera, covariance=calibration.noise_covariance)
-    return {name: noise.std(name) for name in noise.model.parameter_names}

@@ -82,7 +82,7 @@ def draw(scene: CloudScene, view: View, size: tuple[int, int], point_size: float
 
     point_size: factor of the size of the points, which at 1 closes the surfaces. Hidden points are hidden.
     """
-    across, down, distance, order = _projected(scene, view, size)
+    across, down, distance, order = _project(scene, view, size)
     radius = _radii(scene, view, size, distance, order) * point_size
     column, row = (np.floor(value).astype(np.int64) for value in (across, down))
     classes = np.clip(np.rint(radius), 0, _LARGEST).astype(np.int64)
@@ -105,7 +105,7 @@ def draw(scene: CloudScene, view: View, size: tuple[int, int], point_size: float
     return drawn
 
 
-def _projected(scene: CloudScene, view: View, size: tuple[int, int]) -> tuple[Array, Array, Array, Array]:
+def _project(scene: CloudScene, view: View, size: tuple[int, int]) -> tuple[Array, Array, Array, Array]:
     """Return columns, rows and distances (M,) of the points before the viewer, the farthest first, and their places."""
     beside = (scene.seen - view.eye.astype(np.float32)) @ view.axes.T.astype(np.float32)
     before = np.flatnonzero(beside[:, 2] > _NEAREST * view.distance)
@@ -218,13 +218,9 @@ def rendered(scene: CloudScene, paint: Paint, view: View, size: tuple[int, int],
     pixels = np.empty((size[1], size[0], 3), np.uint8)
     pixels[:] = _BACKGROUND
     shown = drawn.index >= 0
-    pixels[shown] = _shaded(paint, drawn, shown)
+    light = paint.colours[drawn.index[shown]] * shading(drawn.distance)[shown][:, None]
+    pixels[shown] = np.rint(light).astype(np.uint8)
     return pixels
-
-
-def _shaded(paint: Paint, drawn: Drawn, shown: Array) -> Array:
-    light: Array = paint.colours[drawn.index[shown]] * shading(drawn.distance)[shown][:, None]
-    return np.rint(light).astype(np.uint8)
 
 
 def labels_of(scene: CloudScene, paint: Paint, view: View, size: tuple[int, int], name: str) -> Labels:

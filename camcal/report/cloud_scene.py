@@ -126,7 +126,7 @@ def gather(stream: VertexStream, most: int) -> CloudScene:
     """
     picked, total = [], 0
     start = 0
-    for block, chosen in _chosen(stream, most):
+    for block, chosen in _choose(stream, most):
         total += int(np.count_nonzero(_finite(block)))
         kept = block[chosen - start]
         picked.append(kept[_finite(kept)])
@@ -147,7 +147,7 @@ def gather(stream: VertexStream, most: int) -> CloudScene:
     )
 
 
-def _chosen(stream: VertexStream, most: int) -> Iterator[tuple[Array, Array]]:
+def _choose(stream: VertexStream, most: int) -> Iterator[tuple[Array, Array]]:
     """Yield every block with the places in the stream, rising, of what is kept of it."""
     places = evenly(stream.count, most)
     start = 0

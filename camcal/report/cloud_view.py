@@ -30,7 +30,7 @@ from camcal.errors import FileError, InvalidInput
 from camcal.files import replacing
 from camcal.report.cloud_scene import CloudScene, evenly
 from camcal.report.cloud_views import named_views, view_of
-from camcal.report.colour_scale import ColourScale, Paint, scale_of, turbo_table
+from camcal.report.colour_scale import Paint, scale_of, turbo_table
 
 _STEPS = 65535
 _THINNEST = 1e-9  # of an axis along which all points are the same
@@ -94,11 +94,11 @@ def pack(scene: CloudScene) -> PackedCloud:
         codes, sigma = _sigma_codes(scene.sigma[order])
         planes.append(codes)
     return PackedCloud(
-        _deflated(planes), len(scene.points), tuple(origin), tuple(step), scene.colours is not None, sigma
+        _deflate(planes), len(scene.points), tuple(origin), tuple(step), scene.colours is not None, sigma
     )
 
 
-def _deflated(planes: Sequence[Array]) -> bytes:
+def _deflate(planes: Sequence[Array]) -> bytes:
     """Return planes of bytes as a zlib stream.
 
     Of differences only runs of zeros repeat: to look for nothing else is faster than the search for longer matches, and
@@ -197,16 +197,15 @@ def _facts(scene: CloudScene, packed: PackedCloud, start: Start) -> dict[str, An
         "views": {name: view.document() for name, view in named_views(scene).items()},
         "spacing": spacing,
         "spacing_grows": grows,
-        "scales": {name: _document(scale) for name, scale in scales.items()},
+        "scales": {
+            name: {"low": scale.low, "high": scale.high, "logarithmic": scale.logarithmic}
+            for name, scale in scales.items()
+        },
         "turbo": base64.b64encode(turbo_table().tobytes()).decode("ascii"),
         "start": view_of(start.view, scene).document(),
         "colour": start.colour,
         "point_size": start.point_size,
     }
-
-
-def _document(scale: ColourScale) -> dict[str, Any]:
-    return {"low": scale.low, "high": scale.high, "logarithmic": scale.logarithmic}
 
 
 def statistics(scene: CloudScene, packed: PackedCloud) -> str:

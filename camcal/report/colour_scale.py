@@ -84,11 +84,11 @@ def paint_of(scene: CloudScene, colour: str | None = None) -> Paint:
     if colour not in COLOURS:
         raise InvalidInput(f"colour {colour!r} is unknown; use one of {', '.join(COLOURS)}")
     if colour == "depth":
-        return _scaled(scene.depth, colour)
+        return _scale(scene.depth, colour)
     if colour == "sigma":
         if scene.sigma is None:
             raise InvalidInput("the cloud has no sigma to be coloured by; 'camcal stereo cloud --sigma' writes it")
-        return _scaled(scene.sigma, colour)
+        return _scale(scene.sigma, colour)
     if colour == "image":
         if scene.colours is None:
             raise InvalidInput("the cloud has no colours; use depth or gray")
@@ -99,6 +99,6 @@ def paint_of(scene: CloudScene, colour: str | None = None) -> Paint:
     return Paint(np.repeat(light[:, None], 3, axis=1), colour)
 
 
-def _scaled(values: Array, name: str) -> Paint:
+def _scale(values: Array, name: str) -> Paint:
     scale = scale_of(values)
     return Paint(turbo(scale.fraction(values)), name, scale)

@@ -228,7 +228,7 @@ def corner_overlay(gray: Array, view: BoardDetection) -> Array:
     """
     canvas = Canvas.of(gray, MOST_WIDTH)
     if not view.found:
-        return _refused(canvas, view)
+        return _draw_refusal(canvas, view)
     order = np.argsort(view.ids, kind="stable")
     ids, pixels = view.ids[order], view.pixels[order]
     spacing = _spacing(pixels)
@@ -299,7 +299,7 @@ def _write_ids(canvas: Canvas, ids: Array, pixels: Array, spacing: float) -> Non
             canvas.write(str(ids[index]), place, _FIRST if index == 0 else _POINT, size)
 
 
-def _refused(canvas: Canvas, view: BoardDetection) -> Array:
+def _draw_refusal(canvas: Canvas, view: BoardDetection) -> Array:
     """Return the picture of an image without points to use: rings around those that were refused, and the reason."""
     lines = [view.image, *_draw_refused(canvas, view.refused)]
     _write_reason(canvas, view.reason or "nothing found")

@@ -51,7 +51,7 @@ def lines(check: PairCheck) -> list[str]:
         said.append(f"trend: {_signed(trend.centre)} px at the centre, {shape}")
     if residual.convergence is not None and abs(residual.convergence.value) > _SIGNIFICANT * residual.convergence.std:
         said.append(f"{line_of(check)} difference by disparity: {_signed(residual.convergence)} px per px")
-    said.append(f"disparity {spanned(*check.disparity)} px{_searched(check)}")
+    said.append(f"disparity {spanned(*check.disparity)} px{_search_words(check)}")
     if check.exposure is not None:
         said.append(light(check.exposure))
     return said
@@ -149,7 +149,7 @@ def plain(check: PairCheck) -> dict[str, Any]:
     }
 
 
-def _searched(check: PairCheck) -> str:
+def _search_words(check: PairCheck) -> str:
     if check.searched is None:
         return "; too few matches for the search range"
     return "; search range {}:{}".format(*check.searched)

@@ -159,7 +159,7 @@ def _laid(column: Column, values: Sequence[object], in_full: bool) -> _Laid:
     if column.file and not in_full:
         texts = short_names(texts)
     numeric = any(map(_NUMBER.match, texts)) and all(text in _NO_NUMBER or _NUMBER.match(text) for text in texts)
-    texts = _aligned(texts) if numeric else texts
+    texts = _align(texts) if numeric else texts
     widest = max(map(cells, texts), default=0)
     natural = max(widest, cells(column.head))
     least = max([widest, *map(cells, column.head.split(" "))])
@@ -179,7 +179,7 @@ def _text(value: object) -> str:
     return str(value)
 
 
-def _aligned(texts: Sequence[str]) -> list[str]:
+def _align(texts: Sequence[str]) -> list[str]:
     """Return numbers with spaces behind them, so that their decimal points stand above each other."""
     behind = [len(text) - text.index(".") if "." in text else 0 for text in texts]
     return [text + " " * (max(behind) - own) for text, own in zip(texts, behind, strict=True)]
@@ -216,20 +216,20 @@ def _blocks(first: Sequence[_Laid], rest: Sequence[_Laid], width: int) -> Iterat
 
 
 def _block_lines(block: Sequence[_Laid], width: int) -> Iterator[str]:
-    sized = _sized(block, width)
+    sized = _size_columns(block, width)
     for row in range(-1, len(block[0].cells)):
         yield from _row_lines(sized, row, INDENT)
 
 
 def _under_lines(first: _Laid, block: Sequence[_Laid], width: int) -> Iterator[str]:
     """Yield the lines of a block whose first column is too wide: it has a line of its own above each row."""
-    sized = _sized(block, width - INDENT)
+    sized = _size_columns(block, width - INDENT)
     for row, text in enumerate((first.column.head, *first.cells), -1):
         yield f"{' ' * INDENT}{text}"
         yield from _row_lines(sized, row, 2 * INDENT)
 
 
-def _sized(block: Sequence[_Laid], width: int) -> list[_Laid]:
+def _size_columns(block: Sequence[_Laid], width: int) -> list[_Laid]:
     """Return the columns with their widths: what is to spare goes to those that lack the most."""
     widths = [each.least for each in block]
     for _ in range(width - _least(block)):

@@ -8,7 +8,7 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.estimate.smoothing.kalman import CORRELATED, UNDERCONFIDENT, Consistency
-from camcal.estimate.tracking.jitter import Jitter, JitterStd
+from camcal.estimate.tracking.jitter import Jitter
 from camcal.estimate.tracking.track import MEASURED, REJECTED, Track
 from camcal.formats.trajectories.tracked import TrackedObject
 from camcal.messages import Message
@@ -32,7 +32,7 @@ def lines(item: TrackedObject) -> Iterator[str]:
     used = f"inliers {track.count(MEASURED)}, {flips} of them by their mirror pose"
     yield f"{used}; rejected {refused} ({_percent(refused, found)})"
     if track.jerks:
-        yield f"velocity reset at: {_times(track, track.jerks)}"
+        yield f"velocity reset at: {', '.join(f'{track.stamps[frame]:.6g} s' for frame in track.jerks)}"
     yield f"track segments: {', '.join(_piece(track, number) for number in range(int(track.segments.max()) + 1))}"
     yield f"jitter (RMS): raw {_jitter(track.before)}; filtered {_jitter(track.after)}"
     for first, last, chance in track.ambiguous:
@@ -40,8 +40,10 @@ def lines(item: TrackedObject) -> Iterator[str]:
     unit, fading = ("s³", "") if track.noise.fading is None else ("s⁵", f", correlation time {track.noise.fading:g} s")
     densities = f"translation {_density(track, 0, f'm²/{unit}')}; rotation {_density(track, 1, f'rad²/{unit}')}"
     yield f"process noise (PSD{fading}): {densities}"
-    if track.jitter_std is not None and track.jitter_std.any:
-        yield f"vibration (RMS per axis): {_shaking(track.jitter_std)}"
+    shaking = track.jitter_std
+    if shaking is not None and shaking.any:
+        turns = f"camera {1e3 * shaking.camera_turn:.2g} mrad, object {1e3 * shaking.object_turn:.2g} mrad"
+        yield f"vibration (RMS per axis): {turns} and {1e3 * shaking.object_shift:.2g} mm"
 
 
 def consistency_line(judged: Consistency) -> str:
@@ -131,10 +133,6 @@ def _segment(track: Track, number: int, images: Sequence[str]) -> dict[str, Any]
     }
 
 
-def _times(track: Track, frames: Sequence[int]) -> str:
-    return ", ".join(f"{track.stamps[frame]:.6g} s" for frame in frames)
-
-
 def _piece(track: Track, number: int) -> str:
     stamps = track.stamps[track.segments == number]
     return f"{_span(stamps[0], stamps[-1])} ({len(stamps)} frames)"
@@ -146,11 +144,6 @@ def _span(start: float, end: float) -> str:
 
 def _jitter(jitter: Jitter) -> str:
     return f"{1e3 * jitter.translation:.3g} mm, {np.degrees(jitter.rotation):.3g}°"
-
-
-def _shaking(jitter_std: JitterStd) -> str:
-    turns = f"camera {1e3 * jitter_std.camera_turn:.2g} mrad, object {1e3 * jitter_std.object_turn:.2g} mrad"
-    return f"{turns} and {1e3 * jitter_std.object_shift:.2g} mm"
 
 
 def _density(track: Track, axis: int, unit: str) -> str:

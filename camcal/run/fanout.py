@@ -62,7 +62,7 @@ def fan_out(
         from camcal.run import cluster
 
         sent = cluster.outcomes(function, items, replace(batch, timeout=timeout), jobs, progress)
-        return _reported(sent, what, total, progress)
+        return _report(sent, what, total, progress)
     processes = processes or timeout is not None
     count = jobs or available_cores()
     if total is not None:
@@ -74,8 +74,8 @@ def fan_out(
     elif processes:
         outcomes = WorkerPool(function, items, count, timeout, fail_fast=batch.fail_fast).outcomes()
     else:
-        outcomes = _threaded(function, items, count, batch.fail_fast)
-    return _reported(outcomes, what, total, progress)
+        outcomes = _run_threads(function, items, count, batch.fail_fast)
+    return _report(outcomes, what, total, progress)
 
 
 def only_outcome(
@@ -93,7 +93,7 @@ def only_outcome(
     return outcome
 
 
-def _reported(
+def _report(
     outcomes: Generator[Outcome[Item, Value]], what: str, total: int | None, progress: Progress
 ) -> Iterator[Outcome[Item, Value]]:
     progress.start(what, total)
@@ -124,7 +124,7 @@ def _inline(
                 return
 
 
-def _threaded(
+def _run_threads(
     function: Callable[[Item], Value], items: Iterable[Item], count: int, fail_fast: bool
 ) -> Generator[Outcome[Item, Value]]:
     failed = threading.Event()

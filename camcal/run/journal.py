@@ -1,12 +1,16 @@
-"""What was found in single images, kept until the result that is made of all of them is written.
+"""Commands with one result of many inputs: what --resume need not do again of them.
 
-A command with one result for many images leaves a journal beside its output while it works: a line for each image,
-with the fingerprint of what was looked at and what was found as JSON. A run that is killed, or for which images failed,
-leaves it behind, and the next one with --resume does not look at the same images again.
+While it works such a command leaves a journal beside its output: a line for each image, with the fingerprint of what
+was looked at and what was found as JSON. A run that is killed, or for which images failed, leaves it behind, and the
+next one with --resume does not look at the same images again.
+When it has ended, what its result was made from is kept in the list of the folder (see `manifest`), with its other
+files and what it printed as JSON: a run whose inputs, settings and outputs are as they were need not be repeated.
 """
 
+import glob
 import json
-from collections.abc import Callable, Iterable, Iterator, Sequence
+import os
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from dataclasses import dataclass
@@ -14,12 +18,15 @@ from pathlib import Path
 from typing import Any, Generic
 
 from camcal import files, folders, urls
-from camcal.errors import CamcalError, FileError, reason
-from camcal.progress import SILENT, Item, Outcome, Progress, Value
-from camcal.run import records
+from camcal.errors import CamcalError, FileError, in_one_line, reason
+from camcal.options import declared
+from camcal.progress import SILENT, Item, Outcome, Progress, Value, values_of
+from camcal.run import fingerprint, manifest, records
 from camcal.run.fanout import fan_out
+from camcal.run.manifest import Entry
+from camcal.run.option_paths import inputs_of, outputs_of
 from camcal.run.options import DEFAULT_BATCH, BatchOptions
-from camcal.run.outputs import Run
+from camcal.run.outputs import Run, listed
 from camcal.run.resume import MadeItem, made_from, remembering
 
 _JOURNAL: ContextVar["Journal | None"] = ContextVar("journal", default=None)
@@ -154,10 +161,10 @@ def journaled(
         )
 
     outcomes = remembering(_Journaled(kept, found), every, fan, jobs=jobs, batch=batch, progress=progress)
-    return _watched(kept, outcomes)
+    return _note_failures(kept, outcomes)
 
 
-def _watched(kept: Journal, outcomes: Iterable[Outcome[Item, Value]]) -> Iterator[Outcome[Item, Value]]:
+def _note_failures(kept: Journal, outcomes: Iterable[Outcome[Item, Value]]) -> Iterator[Outcome[Item, Value]]:
     """Yield outcomes, and let the journal know of those that have failed."""
     for outcome in outcomes:
         kept.has_failures |= outcome.error is not None
@@ -198,3 +205,80 @@ class _Journaled(Generic[Item, Value]):
         """See `resume.Memory`."""
         with suppress(FileError):  # it would only be found again
             self.kept.add(made.made_from, records.as_plain(made.value))
+
+
+class Finished:
+    """A run of a command with these options, whose result goes to `output`; inputs are read when this is made.
+
+    inputs: how many files that is. made_from: the fingerprint of the run, None if one of them cannot be read: the run
+    then says so itself.
+    """
+
+    def __init__(self, command: str, options: Any, output: Path) -> None:
+        self.output = output
+        paths = sorted(set(_inputs(options)))
+        self.inputs = len(paths)
+        self.made_from: str | None = None
+        with files.unwatched(), suppress(FileError):
+            hashes = values_of(fan_out(fingerprint.of_file, paths))
+            named = [[path.as_posix(), each] for path, each in zip(paths, hashes, strict=True)]
+            asked = _other_options(options, output)
+            self.made_from = fingerprint.of_data([command, fingerprint.of_settings(options), asked, named])
+
+    def document(self) -> dict[str, Any] | None:
+        """Return what the run printed as JSON, None if it has to be done."""
+        known = manifest.entries(self.output.parent).get(in_one_line(self.output.name))
+        if known is None or known.made_from != self.made_from:
+            return None
+        with suppress(KeyError, TypeError, ValueError, OSError, FileError):  # a list that was changed by hand
+            kept = json.loads(known.result)
+            entries = {self.output.parent / name: Entry(*entry) for name, entry in kept["files"].items()}
+            if all(entry.is_of(path) for path, entry in entries.items()):
+                return dict(kept["document"])
+        return None
+
+    def keep(self, document: Mapping[str, Any]) -> None:
+        """Keep what the run has printed, and its files."""
+        run = files.LEDGER.get()
+        if not isinstance(run, Run) or not self.output.is_file() or self.made_from is None:
+            return
+        folder = self.output.absolute().parent
+        made = {path: Entry.of(path) for path in sorted(run.planned) if path.is_file()}
+        names = {Path(os.path.relpath(path, folder)).as_posix(): entry[:2] for path, entry in made.items()}
+        result = urls.named(json.dumps({"files": names, "document": document}, separators=(",", ":")))
+        own = made[self.output.absolute()]
+        run.results[self.output.absolute()] = own._replace(made_from=self.made_from, result=result)
+
+
+def _other_options(options: Any, output: Path) -> dict[str, list[str]]:
+    """Return the options that count beside the settings: the other files that are written, and checks of the result."""
+    known = [each for each in declared(type(options)) if fingerprint.counts(each) and not each.option.recorded]
+    values = [(each, each.of(options)) for each in known]
+    return {each.key: each.words(value) for each, value in values if value is not None and value != output}
+
+
+def _inputs(options: Any) -> Iterator[Path]:
+    """Yield the files that options stand for: all files of folders, those left out that are hidden or outputs."""
+    values = [(each, each.of(options)) for each in declared(type(options))]
+    recursive = any(value is True for each, value in values if each.name == "--recursive")
+    own = {path.absolute() for each, value in values for path in outputs_of(each, value)}
+    for path in (path for each, value in values if value is not None for path in inputs_of(each, value)):
+        for found in _files_of(path, recursive):
+            if found.absolute() not in own:
+                yield found
+
+
+def _files_of(path: Path, recursive: bool) -> Iterator[Path]:
+    with suppress(OSError):  # a text that is too long for a path
+        if path.is_file():
+            yield path
+        elif path.is_dir():
+            inside = path.rglob("*") if recursive else path.iterdir()
+            yield from (each for each in inside if each.is_file() and _counts(each))
+        elif glob.has_magic(str(path)):
+            matching = map(Path, glob.glob(str(path), recursive=True))  # noqa: PTH207 - Path.glob refuses some patterns
+            yield from (each for each in matching if each.is_file())
+
+
+def _counts(path: Path) -> bool:
+    return not path.name.startswith(".") and in_one_line(path.name) not in listed(path.parent)

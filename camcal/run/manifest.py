@@ -57,7 +57,7 @@ Entries = Mapping[str, Entry | None]
 
 def entries(folder: Path) -> dict[str, Entry | None]:
     """Return the files of a folder that are listed, by name; None for those of which nothing is known."""
-    return dict(_parsed(_text(folder)))
+    return dict(_parse(_text(folder)))
 
 
 def change(folder: Path, added: Entries, removed: AbstractSet[str] = frozenset()) -> None:
@@ -67,7 +67,7 @@ def change(folder: Path, added: Entries, removed: AbstractSet[str] = frozenset()
     """
     with _changing(folder):
         text = _text(folder)
-        known = dict(_parsed(text)) | {in_one_line(name): entry for name, entry in added.items()}
+        known = dict(_parse(text)) | {in_one_line(name): entry for name, entry in added.items()}
         for name in removed:
             known.pop(in_one_line(name), None)
         lines = "".join(_line(name, known[name]) for name in sorted(known, key=files.natural_key))
@@ -123,7 +123,7 @@ def _text(folder: Path) -> str:
         return os.fsdecode(files.read_bytes(path)) if path.is_file() and path.stat().st_size else ""
 
 
-def _parsed(text: str) -> Iterable[tuple[str, Entry | None]]:
+def _parse(text: str) -> Iterable[tuple[str, Entry | None]]:
     """Yield the files of whole lines; lists of earlier versions hold names alone."""
     for line in text.split("\n")[:-1]:
         if found := _LINE.fullmatch(line):

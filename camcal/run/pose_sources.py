@@ -43,7 +43,7 @@ def read_transforms(
     transforms unless that is allowed.
     """
     return tuple(
-        item for text in _joined(texts) for item in (_of(text, form) if allow_none else _some(_of(text, form), text))
+        item for text in _join(texts) for item in (_of(text, form) if allow_none else _some(_of(text, form), text))
     )
 
 
@@ -58,7 +58,7 @@ def read_one(text: str, form: Form | None = None) -> NamedTransform:
 
 def read_loose(texts: Sequence[str], form: Form | None = None) -> tuple[LooseTransform, ...]:
     """Return transforms as they are written, which may be no rotations; otherwise as `read_transforms`."""
-    return tuple(item for text in _joined(texts) for item in _some(_loose(text, form), text))
+    return tuple(item for text in _join(texts) for item in _some(_loose(text, form), text))
 
 
 def read_trajectories(texts: Sequence[str]) -> tuple[NamedTransform, ...]:
@@ -71,7 +71,7 @@ def read_trajectories(texts: Sequence[str]) -> tuple[NamedTransform, ...]:
 
 def files_of(texts: Sequence[str]) -> list[Path]:
     """Return the files among arguments."""
-    bodies = [split_name(text)[1] for text in _joined(texts)]
+    bodies = [split_name(text)[1] for text in _join(texts)]
     return [split_address(body)[0] for body in bodies if not _is_said(body)]
 
 
@@ -93,7 +93,7 @@ def _some(found: Sequence[Item], text: str) -> Sequence[Item]:
     return found
 
 
-def _joined(texts: Sequence[str]) -> list[str]:
+def _join(texts: Sequence[str]) -> list[str]:
     """Return arguments, or one of them all if each is a single number."""
     if len(texts) > 1 and all(_is_number(text) for text in texts):
         return [" ".join(texts)]
@@ -109,7 +109,7 @@ def _is_said(text: str) -> bool:
     return is_elementary(text) or is_row(text)
 
 
-def _said(text: str, form: Form | None) -> LoosePose:
+def _parse_pose(text: str, form: Form | None) -> LoosePose:
     """Return the pose that an argument says itself."""
     with Located(repr(_tidy(text))):
         if is_elementary(text):
@@ -146,7 +146,7 @@ def _of(text: str, form: Form | None) -> tuple[NamedTransform, ...]:
 def _loose(text: str, form: Form | None) -> tuple[LooseTransform, ...]:
     name, body = split_name(text)
     if _is_said(body):
-        return (LooseTransform(name, _said(body, form), None, repr(_tidy(body))),)
+        return (LooseTransform(name, _parse_pose(body, form), None, repr(_tidy(body))),)
     path, address = split_address(body)
     if files.suffix_of(path) not in _TABLES:
         if address is not None:

@@ -9,12 +9,13 @@ import os
 import platform
 import signal
 import sys
+import threading
 import types
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from camcal.errors import FileError
+from camcal.errors import EXIT_SIGNAL, FileError
 
 try:
     import resource
@@ -33,6 +34,7 @@ _MOUNT = Path("/sys/fs/cgroup")
 _MEMBERSHIP = Path("/proc/self/cgroup")
 _PROCESSORS = Path("/proc/cpuinfo")
 _STOPPING = ("SIGTERM", "SIGHUP")
+_UNHEARD_S = 1.5
 _ADDRESS_SPACE = 640 << 20  # bytes: `calibrate` of some views maps 616 MB, most of them libraries
 _ONE_THREAD = (*BLAS_THREADS, "OPENCV_FOR_THREADS_NUM")
 
@@ -114,16 +116,34 @@ class Stopped(BaseException):
 
 
 def stop_on_signals() -> None:
-    """Let SIGTERM and SIGHUP raise Stopped; a second one ends the process at once, and one ignored stays so."""
-    for name in _STOPPING:
-        number = getattr(signal, name, None)
-        if number is not None and signal.getsignal(number) == signal.SIG_DFL:
-            signal.signal(number, _stop)
+    """Let SIGTERM and SIGHUP raise Stopped; a second one ends the process at once, and one ignored stays so.
+
+    Python hears signals between its own instructions: one that comes while a library works longer than _UNHEARD_S ends
+    the process then.
+    """
+    stopping = [number for name in _STOPPING if (number := getattr(signal, name, None)) is not None]
+    stopping = [number for number in stopping if signal.getsignal(number) == signal.SIG_DFL]
+    heard = threading.Event()
+
+    def stop(number: int, _: types.FrameType | None) -> None:
+        heard.set()
+        signal.signal(number, signal.SIG_DFL)
+        raise Stopped(number)
+
+    for number in stopping:
+        signal.signal(number, stop)
+    if stopping and hasattr(signal, "pthread_sigmask"):  # elsewhere signals are no bytes of a pipe
+        ours, theirs = os.pipe()
+        os.set_blocking(theirs, False)
+        signal.set_wakeup_fd(theirs, warn_on_full_buffer=False)
+        threading.Thread(target=_end_unheard, args=(ours, stopping, heard), daemon=True).start()
 
 
-def _stop(number: int, _: types.FrameType | None) -> None:
-    signal.signal(number, signal.SIG_DFL)
-    raise Stopped(number)
+def _end_unheard(pipe: int, stopping: Collection[int], heard: threading.Event) -> None:
+    """End the process by one of some signals, whose numbers come through a pipe, unless the main thread hears it."""
+    while numbers := os.read(pipe, 1):
+        if numbers[0] in stopping and not heard.wait(_UNHEARD_S):
+            os._exit(EXIT_SIGNAL + numbers[0])
 
 
 def heed_parent() -> None:

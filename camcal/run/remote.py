@@ -85,7 +85,7 @@ class RemoteFiles:
             place, path, url = place.rpartition("/")[0], path.parent, url.rpartition("/")[0]
         parent = place.rpartition("/")[0]
         if parent.strip("/"):
-            self._note(_listed(system, parent), parent, path.parent)
+            self._note(_list_folder(system, parent), parent, path.parent)
         if path.is_dir() or system.isdir(place):
             self._note(system.find(place, withdirs=True, detail=True).values(), place, path)
 
@@ -239,7 +239,7 @@ def _reached(url: str, missing: str = "no such file") -> Iterator[None]:
         raise FileError(f"cannot be reached: {said}", where=url) from error
 
 
-def _listed(system: Any, place: str) -> list[Mapping[str, Any]]:
+def _list_folder(system: Any, place: str) -> list[Mapping[str, Any]]:
     """Return what a file system has in a folder; nothing of a folder that is not there, or may not be listed."""
     try:
         found: list[Mapping[str, Any]] = system.ls(place, detail=True)

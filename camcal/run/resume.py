@@ -158,7 +158,7 @@ def remembering(
 ) -> Iterator[Outcome[Item, Value]]:
     """Yield what became of every item in their order: with batch.resume what is remembered, else what `fan` makes."""
     if not isinstance(every, Sequence):
-        yield from _streamed(memory, every, fan, reuse=batch.resume)
+        yield from _stream(memory, every, fan, reuse=batch.resume)
         return
     reused: dict[int, Outcome[Item, Value]] = {}
     if batch.resume:
@@ -174,7 +174,7 @@ def remembering(
         if index in reused:
             yield reused[index]
         elif upcoming is not None and upcoming.item is item:  # others were not begun, after one that failed
-            yield _kept(memory, upcoming)
+            yield _keep(memory, upcoming)
             upcoming = next(made, None)
 
 
@@ -189,7 +189,7 @@ def _fingerprints(
     return [outcome.value or "" for outcome in compared]
 
 
-def _streamed(
+def _stream(
     memory: Memory[Item, Value], every: Iterable[Item], fan: "Fan[Item, Value]", *, reuse: bool
 ) -> Iterator[Outcome[Item, Value]]:
     """Yield what became of items that come one after another, such as frames, in their order."""
@@ -205,11 +205,11 @@ def _streamed(
     for outcome in fan(left()):
         while (reused := before.popleft()) is not None:
             yield reused
-        yield _kept(memory, outcome)
+        yield _keep(memory, outcome)
     yield from (reused for reused in before if reused is not None)
 
 
-def _kept(memory: Memory[Item, Value], outcome: Outcome[Item, MadeItem[Value]]) -> Outcome[Item, Value]:
+def _keep(memory: Memory[Item, Value], outcome: Outcome[Item, MadeItem[Value]]) -> Outcome[Item, Value]:
     made = outcome.value
     if made is None:
         return Outcome(outcome.item, error=outcome.error)

@@ -113,12 +113,9 @@ def write_settings(path: Path, command: str, options: Sequence[Declared], values
         lines += ["", f"# ---- {group} ----"]
         for each in members:
             lines += ["", *textwrap.wrap(each.help, _WIDTH, initial_indent="# ", subsequent_indent="# ")]
-            lines.append(_line(each, values.get(each)))
+            value = values.get(each)
+            lines.append(f"# {each.key}: {_other(each)}" if value is None else f"{each.key}: {_yaml(each, value)}")
     files.write_text(path, "\n".join([*lines, ""]))
-
-
-def _line(each: Declared, value: Any) -> str:
-    return f"# {each.key}: {_other(each)}" if value is None else f"{each.key}: {_yaml(each, value)}"
 
 
 def _argument_words(each: Declared, values: Mapping[Declared, Any]) -> list[str]:

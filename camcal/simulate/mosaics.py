@@ -125,7 +125,7 @@ def _behind_filter(raw: RawCamera, brightness: dict[str, Array]) -> Array:
     if raw.pattern == MONO:
         return brightness["G"] * raw.sensor.saturation_e
     shares = dict(zip("RGB", raw.light, strict=True))
-    return filtered(
+    return filter_mosaic(
         raw.pattern, {colour: shares[colour] * raw.sensor.saturation_e * brightness[colour] for colour in shares}
     )
 
@@ -156,15 +156,15 @@ def lenses(camera: Camera, aberration_px: float) -> dict[str, Camera]:
     scale = aberration_px / hypot(max(x, width - 1 - x), max(y, height - 1 - y))
     if not abs(scale) < 1:
         raise InvalidInput(f"an aberration of {aberration_px:g} px folds the image")
-    return {"R": _scaled(camera, 1 + scale), "G": camera, "B": _scaled(camera, 1 - scale)}
+    return {"R": _scale(camera, 1 + scale), "G": camera, "B": _scale(camera, 1 - scale)}
 
 
-def _scaled(camera: Camera, scale: float) -> Camera:
+def _scale(camera: Camera, scale: float) -> Camera:
     factors = [scale if name in ("fx", "fy") else 1.0 for name in camera.model.parameter_names]
     return replace(camera, parameters=camera.parameters * factors)
 
 
-def filtered(pattern: str, colours: Mapping[str, Array]) -> Array:
+def filter_mosaic(pattern: str, colours: Mapping[str, Array]) -> Array:
     """Return the mosaic (H, W) that takes every sample from the image (H, W) of its colour R, G or B."""
     mosaic = np.empty_like(next(iter(colours.values())))
     for colour, image in colours.items():

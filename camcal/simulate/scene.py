@@ -1,15 +1,17 @@
 """Simulated cameras, plausible board poses, and detections.
 
-Poses are spread over the image, tilted, near and far.
+Poses are spread over the image, tilted, near and far. For a rig the board is held in front of one camera after another,
+where another one has it too.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.cameras.model import Camera, CameraModel
+from camcal.cameras.model import Camera, CameraModel, Rig
 from camcal.errors import InvalidInput
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
@@ -28,6 +30,8 @@ RIM = 0.3  # squares of white around the drawing that must be in the image
 WIDEST = 100.0  # half an image's width in focal lengths, 178.9° for a pinhole
 LEG = 30  # frames of a moving board from one pose to the next
 OFF_CENTRE = (0.006, -0.004)  # of the principal point, as shares of the image's width
+_CAPTURE_ROUNDS = 20  # of proposals, as many as captures are wanted from every camera
+_LEAST_CAMERAS = 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +95,7 @@ def views(
             return [found[index] for index in range(count)]
         attempts = _draw(camera, missing, rng, partial, max_tilt)
         attempts = replace(attempts, fill=ease * attempts.fill)
-        rotations, translations = _fitted_into_image(camera, outline, attempts)
+        rotations, translations = _fit_into_image(camera, outline, attempts)
         for slot in np.flatnonzero(_acceptable(camera, outline, attempts, rotations, translations)):
             found[int(missing[slot])] = Pose(rotations[slot], translations[slot])
     raise InvalidInput(
@@ -122,7 +126,7 @@ def _spread(rng: np.random.Generator, count: int) -> Array:
     return np.asarray((rng.permutation(count) + rng.random(count)) / count)
 
 
-def _fitted_into_image(camera: Camera, outline: _Outline, attempts: _Attempts) -> tuple[Array, Array]:
+def _fit_into_image(camera: Camera, outline: _Outline, attempts: _Attempts) -> tuple[Array, Array]:
     """Return rotations (V, 3, 3) and translations (V, 3) of boards brought to their size and into the image."""
     size = np.asarray(camera.image_size)
     middle = (size - 1) / 2
@@ -180,13 +184,13 @@ def _can_be_drawn(camera: Camera, outline: _Outline, rotations: Array, translati
 def seen(camera: Camera, board: Board, poses: Sequence[Pose], *, partial: bool = False) -> Array:
     """Return the mask (V,) of poses camera_T_board at which an image has the whole board, or enough of it."""
     outline = _Outline.of(board)
-    rotations, translations = _stacked(poses)
+    rotations, translations = _stack(poses)
     points, least = (outline.corners, PARTIAL_SHARE) if partial else (np.vstack([outline.rim, outline.corners]), 1.0)
     shown = _share_in_image(camera, points, rotations, translations)
     return np.asarray((shown >= least) & _can_be_drawn(camera, outline, rotations, translations))
 
 
-def _stacked(poses: Sequence[Pose]) -> tuple[Array, Array]:
+def _stack(poses: Sequence[Pose]) -> tuple[Array, Array]:
     """Return the rotations (V, 3, 3) and translations (V, 3) of poses."""
     rotations = np.array([pose.rotation for pose in poses]).reshape(-1, 3, 3)
     return rotations, np.array([pose.translation for pose in poses]).reshape(-1, 3)
@@ -199,10 +203,10 @@ def motion(camera: Camera, board: Board, count: int, *, rng: np.random.Generator
     """
     stops = views(camera, board, 2 + (count - 1) // LEG, rng=rng)
     legs = [divmod(index, LEG) for index in range(count)]
-    return [_between(stops[leg], stops[leg + 1], _eased(frame / LEG)) for leg, frame in legs]
+    return [_between(stops[leg], stops[leg + 1], _ease(frame / LEG)) for leg, frame in legs]
 
 
-def _eased(share: float) -> float:
+def _ease(share: float) -> float:
     """Return a share of the way that begins and ends at rest."""
     return share**2 * (3 - 2 * share)
 
@@ -254,7 +258,7 @@ def observe(
     """
     if noise_px < 0 or not 0 <= outliers <= 1:
         raise InvalidInput(f"noise {noise_px} must not be negative, the share of outliers {outliers} within 0…1")
-    exact, valid = project_all(camera, shape.points(board), *_stacked(poses))
+    exact, valid = project_all(camera, shape.points(board), *_stack(poses))
     displaced = rng.random(valid.shape) < outliers
     angle = rng.uniform(0, 2 * np.pi, valid.shape)
     jump = outlier_px * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
@@ -319,3 +323,31 @@ def _distorted(model: CameraModel, parameters: Array, distortion: Mapping[str, f
             raise InvalidInput(f"{model.name} has no coefficient {name!r}; it has {known}")
         parameters[model.parameter_names.index(name)] = value
     return parameters
+
+
+def captures(rig: Rig, board: Board, count: int, *, rng: np.random.Generator, partial: bool = False) -> list[Pose]:
+    """Return `count` poses rig_T_board that two cameras see the whole board at, or with `partial` enough of it.
+
+    Raises InvalidInput if there are not enough such poses: the cameras have no view in common.
+    """
+    found: list[Pose] = []
+    for _ in range(_CAPTURE_ROUNDS):
+        proposed = [
+            [rig.rig_T_camera[name] @ pose for pose in views(camera, board, count, rng=rng, partial=partial)]
+            for name, camera in rig.cameras.items()
+        ]
+        in_turn = list(chain(*zip(*proposed, strict=True)))
+        sharing = np.sum([seen_by(rig, name, board, in_turn, partial=partial) for name in rig.cameras], axis=0)
+        found += [pose for pose, cameras in zip(in_turn, sharing, strict=True) if cameras >= _LEAST_CAMERAS]
+        if len(found) >= count:
+            return found[:count]
+    raise InvalidInput(
+        f"found {len(found)} of {count} poses of the board ({board.words}) that two cameras see: use a smaller board, "
+        "--partial, or cameras with more in common"
+    )
+
+
+def seen_by(rig: Rig, name: str, board: Board, poses: Sequence[Pose], *, partial: bool) -> Array:
+    """Return the mask (V,) of poses rig_T_board at which a camera sees the board."""
+    camera_T_rig = rig.rig_T_camera[name].inverse()
+    return seen(rig.cameras[name], board, [camera_T_rig @ pose for pose in poses], partial=partial)

@@ -1,13 +1,18 @@
-"""The disparity map of a rectified pair: values, uncertainty, and confidence class of every pixel."""
+"""The disparity map of a rectified pair: values, uncertainty, and confidence class of every pixel.
+
+And the limits: of pairs that can be matched and of maps that can be used.
+"""
 
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from camcal.arrays import Float32Array, readonly
 from camcal.brief import Brief
+from camcal.messages import Message
 
 
 class Confidence(IntEnum):
@@ -42,3 +47,40 @@ class Disparity(Brief):
         object.__setattr__(self, "values", readonly(self.values, (None, None), "values", np.float32))
         object.__setattr__(self, "sigma", readonly(self.sigma, shape, "sigma", np.float32))
         object.__setattr__(self, "confidence", readonly(self.confidence, shape, "confidence", np.uint8))
+
+
+class Limits(NamedTuple):
+    """What a pair and its map must keep to.
+
+    rows_px: largest amount that rows may be off, pixels; a plane over the image puts so much right. matched: least
+    share of the pixels that are matched and not filled. wrong_side: largest share of the features that may stand on the
+    wrong side of what is infinitely far, from `sideways_px` pixels on. alike: largest share of the features that may be
+    at one place in both images, to `parallax_px` pixels; two real images scatter more, whatever their distance.
+    """
+
+    rows_px: float = 5.0
+    matched: float = 0.15
+    wrong_side: float = 0.95
+    sideways_px: float = 0.5
+    alike: float = 0.95
+    parallax_px: float = 0.25
+
+
+LIMITS = Limits()
+
+
+def too_few(matched: float, *, by_rig: bool = False) -> tuple[Message, ...]:
+    """Return the failure of a map with such a share of matched pixels, none if they are enough.
+
+    by_rig: the images were rectified by a rig file, so that this and their order may be wrong.
+    """
+    if matched >= LIMITS.matched:
+        return ()
+    text = (
+        f"{100 * matched:.1f} % of the pixels matched (limit {100 * LIMITS.matched:g} %): check that both images show "
+    )
+    if by_rig:
+        text += "the same scene, that LEFT and RIGHT are not exchanged, that the rig file is theirs, and the --range"
+    else:
+        text += "the same scene and are rectified, and the --range"
+    return (Message("few_matches", text, {"matched": matched, "limit": LIMITS.matched}),)

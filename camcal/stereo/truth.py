@@ -146,7 +146,8 @@ def evaluate(
         pairs = _Pixels.of(disparity, truth, prediction, counted, depths)
         valid = pairs.valid()
         curves = None if valid.sigma is None else sparsify(valid.error, valid.sigma)
-        figures |= {region: _all_figures(pairs), region + AMONG_VALID: _valid_figures(valid, curves)}
+        figures[region] = {"density": _percent(np.isfinite(pairs.error)), **_shares(pairs)}
+        figures[region + AMONG_VALID] = _valid_figures(valid, curves)
         pixels |= {region: len(pairs.error), region + AMONG_VALID: len(valid.error)}
     return Evaluation(figures, pixels, _by_class(valid), curves)
 
@@ -172,17 +173,17 @@ class _Pixels(NamedTuple):
             np.where(np.isfinite(error), error, np.inf),
             found,
             true,
-            _chosen(prediction.sigma, counted),
-            _chosen(prediction.confidence, counted),
-            _chosen(depths, (slice(None), counted)),
+            _choose(prediction.sigma, counted),
+            _choose(prediction.confidence, counted),
+            _choose(depths, (slice(None), counted)),
         )
 
     def where(self, chosen: Array) -> "_Pixels":
         error, disparity, truth = self.error[chosen], self.disparity[chosen], self.truth[chosen]
         known = (
-            _chosen(self.sigma, chosen),
-            _chosen(self.confidence, chosen),
-            _chosen(self.depths, (slice(None), chosen)),
+            _choose(self.sigma, chosen),
+            _choose(self.confidence, chosen),
+            _choose(self.depths, (slice(None), chosen)),
         )
         return _Pixels(error, disparity, truth, *known)
 
@@ -190,7 +191,7 @@ class _Pixels(NamedTuple):
         return self.where(np.isfinite(self.error))
 
 
-def _chosen(values: Array | None, chosen: Any) -> Array | None:
+def _choose(values: Array | None, chosen: Any) -> Array | None:
     return None if values is None else np.asarray(values[chosen])
 
 
@@ -232,10 +233,6 @@ def _mean_class(kinds: Sequence[ClassErrors], total: int) -> ClassErrors:
 
     means: dict[str, Any] = {name: mean(name) for name in _MEANS}
     return replace(kinds[0], pixels=sum(pixels), share=100 * sum(pixels) / total, **means)
-
-
-def _all_figures(pixels: _Pixels) -> dict[str, float]:
-    return {"density": _percent(np.isfinite(pixels.error)), **_shares(pixels)}
 
 
 def _valid_figures(pixels: _Pixels, curves: Sparsification | None) -> dict[str, float]:

@@ -62,8 +62,9 @@ def convert(options: ConvertFileOptions, progress: Progress = SILENT) -> Convert
     file = cameras.read(path, progress, Given(options.given.size, options.given.model), options.second)
     source = cameras.format_of(path)
     if (wanted := options.camera or name) is not None:
-        file = _alone(file, wanted, str(path))
-    written = tuple(_converted(file, output, source, options) for output in options.outputs)
+        entry = cameras.select(file, wanted, str(path))  # what joins it to others is left out
+        file = replace(file, cameras={wanted: entry}, transforms={}, joint_covariance=None)
+    written = tuple(_convert_file(file, output, source, options) for output in options.outputs)
     report = ConvertReport(source, written)
     claim(report.outputs)
     for each in written:
@@ -71,7 +72,7 @@ def convert(options: ConvertFileOptions, progress: Progress = SILENT) -> Convert
     return report
 
 
-def _converted(file: CameraFile, output: Path, source: CameraFormat, options: ConvertFileOptions) -> ConvertedFile:
+def _convert_file(file: CameraFile, output: Path, source: CameraFormat, options: ConvertFileOptions) -> ConvertedFile:
     """Return what is to be written to an output."""
     one_of_several = len(options.outputs) > 1
     target = cameras.format_for(output, options.to, source, by_suffix=one_of_several)
@@ -81,12 +82,6 @@ def _converted(file: CameraFile, output: Path, source: CameraFormat, options: Co
         fitting = replace(fitting, provenance=provenance.build(command_line("convert", options), None))
     outputs = target.outputs(output, fitting)
     return ConvertedFile(fitting, output, target, outputs, prepared.refits, cameras.left_out(fitting, target))
-
-
-def _alone(file: CameraFile, name: str, where: str) -> CameraFile:
-    """Return a file with one of its cameras; what joins it to others is left out."""
-    entry = cameras.select(file, name, where)
-    return replace(file, cameras={name: entry}, transforms={}, joint_covariance=None)
 
 
 def document(report: ConvertReport) -> dict[str, Any]:

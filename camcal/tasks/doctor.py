@@ -65,11 +65,11 @@ def examine() -> Examination:
     needed = [(name, wanted) for name, wanted, extra in _requirements() if not extra]
     packages = tuple(_opencv(wanted) if name == WHEEL else _package(name, wanted) for name, wanted in needed)
     optional = tuple(
-        OptionalPackage(extra, name, wanted, _installed(name), PURPOSES[extra])
+        OptionalPackage(extra, name, wanted, _installed_version(name), PURPOSES[extra])
         for name, wanted, extra in _requirements()
         if extra in PURPOSES
     )
-    wheels = tuple(f"{name} {version}" for name in _WHEELS if (version := _installed(name)))
+    wheels = tuple(f"{name} {version}" for name in _WHEELS if (version := _installed_version(name)))
     failures = [
         Message("unusable_package", package.problem, where=package.name) for package in packages if package.problem
     ]
@@ -105,7 +105,7 @@ def _requirements() -> list[tuple[str, str, str]]:
     return sorted(match.groups("") for line in lines if (match := _REQUIREMENT.match(line)))  # type: ignore[misc]
 
 
-def _installed(name: str) -> str | None:
+def _installed_version(name: str) -> str | None:
     try:
         return metadata.version(name)
     except metadata.PackageNotFoundError:
@@ -113,7 +113,7 @@ def _installed(name: str) -> str | None:
 
 
 def _package(name: str, wanted: str) -> Package:
-    version = _installed(name)
+    version = _installed_version(name)
     if version is None:
         return Package(name, wanted, None, f"not installed; pip install '{name}{wanted}'")
     return Package(name, wanted, version, _misfit(name, version, wanted))

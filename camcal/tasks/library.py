@@ -14,7 +14,7 @@ import numpy as np
 
 from camcal.arrays import Array, FloatArray, PixelArray, require_shape
 from camcal.brief import Brief
-from camcal.calibrate.rigs.captures import Captures
+from camcal.calibrate.rigs.record import Captures
 from camcal.cameras.model import Camera
 from camcal.errors import InvalidInput
 from camcal.formats import cameras, native
@@ -30,9 +30,8 @@ from camcal.stereo.geometry import StereoGeometry
 from camcal.stereo.points.cloud import CloudMaker
 from camcal.stereo.points.depth import StereoImage
 from camcal.stereo.points.frames import COLOUR, POSITION
-from camcal.stereo.rectify.maps import PairMaps, build_pair_maps
 from camcal.stereo.rectify.options import RectifiedViewOptions
-from camcal.stereo.rectify.plan import plan_rectification
+from camcal.stereo.rectify.plan import PairMaps, build_pair_maps, plan_rectification
 from camcal.stereo.rectify.record import Rectification
 from camcal.targets.board import Board
 from camcal.targets.detection import BoardDetection, Detections

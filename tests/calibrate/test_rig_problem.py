@@ -19,8 +19,8 @@ from camcal.calibrate.rigs.effects import (
     moved_views,
     with_motion,
 )
+from camcal.calibrate.rigs.estimator import part_posteriors
 from camcal.calibrate.rigs.fit import with_shares
-from camcal.calibrate.rigs.posterior import part_posteriors
 from camcal.calibrate.rigs.problem import LensPrior, RigProblem, RigState
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.observations import Observations

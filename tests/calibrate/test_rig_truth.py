@@ -13,8 +13,7 @@ from scipy.stats import chi2
 
 from camcal.calibrate.fit import ShapeOptions
 from camcal.calibrate.rigs.calibrate import calibrate_rig
-from camcal.calibrate.rigs.captures import Captures
-from camcal.calibrate.rigs.record import FIXED, PRIOR, RigOptions
+from camcal.calibrate.rigs.record import FIXED, PRIOR, Captures, RigOptions
 from camcal.cameras.catalogue import model_named
 from camcal.errors import CamcalError
 from camcal.geometry import rotation as so3

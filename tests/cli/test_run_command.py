@@ -226,16 +226,16 @@ def test_the_exit_code_is_that_of_the_worst_step(states, folder):
 
 
 def test_an_interrupted_run_keeps_the_steps_that_have_ended(folder, run, monkeypatch):
-    from camcal.cli import convert
+    from camcal.cli import inspect
 
     def interrupted(options, call):
         if options.outputs[0].name == "second.yaml":
             raise KeyboardInterrupt
         return original(options, call)
 
-    original = convert.convert
+    original = inspect.convert
     interrupted.__annotations__ = original.__annotations__
-    monkeypatch.setattr(convert, "convert", interrupted)
+    monkeypatch.setattr(inspect, "convert", interrupted)
     code, _, err = run("run", "work/pipeline.yaml", "--jobs", 1)
     assert (code, err.splitlines()[-1]) == (
         130,

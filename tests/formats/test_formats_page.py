@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 from formats_page import with_formats, with_models
+from generated_pages import WRITE
 
 from camcal.cameras.catalogue import MODELS
 from camcal.formats import (
@@ -121,10 +122,10 @@ def test_every_key_and_column_is_named_on_the_page():
 def test_the_table_of_lens_models_is_what_the_models_say():
     page = with_models(PAGE, list(MODELS.values())[1:])
     assert "| `pinhole` |" not in page
-    assert with_models(page, MODELS.values()) == PAGE, "run: python tests/formats_page.py"
+    assert with_models(page, MODELS.values()) == PAGE, WRITE
 
 
 def test_the_table_of_camera_formats_is_what_the_formats_say():
     page = with_formats(PAGE, list(FORMATS.values())[1:])
     assert "| `camcal` |" not in page
-    assert with_formats(page, FORMATS.values()) == PAGE, "run: python tests/formats_page.py"
+    assert with_formats(page, FORMATS.values()) == PAGE, WRITE

@@ -10,8 +10,7 @@ from report_scenes import SCENES, detections_of
 
 from camcal.errors import InsufficientData
 from camcal.formats import detections
-from camcal.report.page.record import DataBlock, Figure, Page, PageVerdict, Section, ShownMessage, Table
-from camcal.report.page.render import rendered
+from camcal.report.page.record import DataBlock, Figure, Page, PageVerdict, Section, ShownMessage, Table, rendered
 from camcal.tasks.calibration.calibrate import calibrate
 from camcal.tasks.calibration.options import CalibrateOptions
 

@@ -45,9 +45,9 @@ for line in sys.stdin:
     print(json.dumps([os.waitstatus_to_exitcode(status), time.monotonic() - began]), flush=True)
 """
 
-UNDISTORT = ("cli.undistort", "tasks.calibration.undistort")
+UNDISTORT = ("cli.calibrate", "tasks.calibration.undistort")
 OTHERS = (
-    *("cli.calibrate", "cli.poses", "cli.raw", "cli.rig", "cli.stereo", "tasks.calibration.calibrate"),
+    *("cli.poses", "cli.raw", "cli.rig", "cli.stereo", "tasks.calibration.calibrate"),
     *("tasks.calibration.detect", "tasks.stereo.clouds", "tasks.stereo.stereo_disparity", "tasks.stereo.stereo_run"),
     "tasks.stereo.rectify",
 )

@@ -161,3 +161,17 @@ def test_killed_parents_leave_no_half_file_no_orphan_and_no_litter(start_python,
     assert last.communicate(timeout=60)[1] == ""
     require_whole(folder, 6)
     assert list(tmp_path.glob(TEMPORARY)) == []
+
+
+def test_a_signal_that_a_library_does_not_let_python_hear_ends_the_run(start_python):
+    program = """
+import hashlib
+from camcal.run.process import stop_on_signals
+stop_on_signals()
+print("begun", flush=True)
+hashlib.pbkdf2_hmac("sha256", b"", b"", 2**31 - 1)
+"""
+    process = start_python("-c", program, stdout=subprocess.PIPE)
+    assert process.stdout.readline().strip() == "begun"
+    process.terminate()
+    assert process.wait(timeout=30) == 143

@@ -21,7 +21,7 @@ from camcal.raw.dng import write_dng
 from camcal.raw.mosaic import Mosaic, sites
 from camcal.raw.options import MONO, PATTERNS, GivenLayout, ImageReadOptions
 from camcal.raw.pixel_formats import pack, pixel_format_named
-from camcal.simulate.mosaics import filtered, lenses
+from camcal.simulate.mosaics import filter_mosaic, lenses
 from camcal.simulate.render import Exposure, evenly_lit
 from camcal.targets.board import Board, parse_board
 from camcal.tasks.calibration.detect import DEMOSAICED, detect_images
@@ -41,7 +41,7 @@ def frame(pattern="RGGB", light=(1.0, 1.0, 1.0), aberration_px=0.0, noisy=True, 
     seen = {camera: evenly_lit(camera, board, POSE, Exposure(**how)) for camera in set(cameras.values())}
     shares = dict(zip("RGB", light, strict=True))
     planes = {colour: shares[colour] * seen[camera] for colour, camera in cameras.items()}
-    electrons = WELL_E * (planes["G"] if pattern == MONO else filtered(pattern, planes))
+    electrons = WELL_E * (planes["G"] if pattern == MONO else filter_mosaic(pattern, planes))
     if noisy:
         rng = np.random.default_rng(1)
         electrons = rng.poisson(electrons) + 4 * rng.standard_normal(electrons.shape)

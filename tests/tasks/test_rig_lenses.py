@@ -7,7 +7,7 @@ import pytest
 
 from camcal.calibrate.fit import ShapeOptions
 from camcal.calibrate.intrinsics import CandidateModel
-from camcal.calibrate.rigs.captures import Captures
+from camcal.calibrate.rigs.record import Captures
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.errors import InvalidInput

@@ -8,8 +8,7 @@ from scipy import stats
 
 from camcal.calibrate.fit import ShapeOptions
 from camcal.calibrate.rigs.calibrate import calibrate_rig
-from camcal.calibrate.rigs.captures import Captures
-from camcal.calibrate.rigs.record import RigOptions
+from camcal.calibrate.rigs.record import Captures, RigOptions
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.estimate.pnp import estimate_rig_poses

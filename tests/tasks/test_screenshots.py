@@ -7,9 +7,9 @@ import pytest
 from camcal.errors import InsufficientData
 from camcal.targets.board import parse_board
 from camcal.targets.detect import detect
+from camcal.tasks.calibration.board_views import FEW_LEVELS, gray_levels
 from camcal.tasks.calibration.calibrate import calibrate
 from camcal.tasks.calibration.options import CalibrateOptions
-from camcal.tasks.calibration.screenshots import FEW_LEVELS, gray_levels
 
 BOARD = parse_board("chessboard:9x6:25mm")
 SIZE = (480, 640)

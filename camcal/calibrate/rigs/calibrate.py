@@ -10,15 +10,13 @@ from camcal.arrays import Array
 from camcal.calibrate import intrinsics
 from camcal.calibrate.between_views import between_views
 from camcal.calibrate.intrinsics import Calibration, Solved
-from camcal.calibrate.rigs.captures import Captures
 from camcal.calibrate.rigs.effects import SHIFT
 from camcal.calibrate.rigs.epipolar import epipolar_by_capture
 from camcal.calibrate.rigs.fit import RigFit, RigStart, fit_rig, with_other_models
-from camcal.calibrate.rigs.links import Link, Placed, link, place
+from camcal.calibrate.rigs.links import Link, Placed, composed, link, place
 from camcal.calibrate.rigs.mistakes import Mistakes, RigCamera, mistakes
-from camcal.calibrate.rigs.orientation import composed
 from camcal.calibrate.rigs.problem import LensPrior
-from camcal.calibrate.rigs.record import FIXED, PRIOR, ExposureMotion, RigCalibration, RigOptions
+from camcal.calibrate.rigs.record import FIXED, PRIOR, Captures, ExposureMotion, RigCalibration, RigOptions
 from camcal.errors import CamcalError, InsufficientData, InvalidInput, NotConverged
 from camcal.geometry.pose import Pose
 from camcal.messages import Message

@@ -22,8 +22,7 @@ from camcal.calibrate.rigs.effects import (
 )
 from camcal.calibrate.rigs.epipolar import between_captures, left_out_errors
 from camcal.calibrate.rigs.estimator import RigEstimate, estimate_rig
-from camcal.calibrate.rigs.links import CameraPoses, Placed, motions
-from camcal.calibrate.rigs.orientation import best_turns_of_captures, composed, turned
+from camcal.calibrate.rigs.links import CameraPoses, Placed, best_turns_of_captures, composed, motions, turned
 from camcal.calibrate.rigs.problem import LensPrior, RigProblem, RigState
 from camcal.calibrate.shape import hold_to_print
 from camcal.cameras.model import Camera, CameraModel
@@ -153,14 +152,12 @@ def with_other_models(fit: RigFit, models: Sequence[CameraModel | None], sizes: 
         other = estimate_rig(problem, state, plain.additional, plain.known, plain.board, motion=plain.motion)
     except (SingularError, InsufficientData, np.linalg.LinAlgError):
         return fit
-    if not other.converged:
-        return fit
     turns = other.state.camera_rotations @ plain.state.camera_rotations.transpose(0, 2, 1)
     moves = np.hstack([other.state.camera_translations - plain.state.camera_translations, so3.log(turns)])
     change = np.zeros(len(fit.covariance))
     for camera, move in enumerate(moves[1:], start=1):
         change[plain.problem.pose_columns(camera)] = move
-    return replace(fit, covariance=fit.covariance + 0.5 * np.outer(change, change))
+    return replace(fit, covariance=fit.covariance + 0.5 * np.outer(change, change)) if other.converged else fit
 
 
 def _with_effects(start: RigEstimate, effects: tuple[str, ...]) -> RigEstimate | None:

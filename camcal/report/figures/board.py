@@ -14,7 +14,7 @@ from camcal.cameras.model import Camera
 from camcal.messages import counted
 from camcal.report.figures.figure import COLOUR_MAP, DIVERGING_MAP, WIDTH, Plot, Theme, panel_height
 from camcal.report.figures.image_plane import colour_bar, round_down, scale_of
-from camcal.report.frusta import board_outline, frustum
+from camcal.report.rig_scene import board_outline, frustum
 from camcal.report.uncertain import length_unit
 from camcal.targets.surface import Surface
 

@@ -18,7 +18,7 @@ from camcal.report.figures import image_plane
 from camcal.report.figures.board import board_height, board_shape, poses
 from camcal.report.figures.figure import DIVERGING_MAP, WIDTH, Plot, Theme, logarithmic_labels
 from camcal.report.figures.image_plane import colour_bar
-from camcal.report.figures.range_curve import uncertainty_over_distance
+from camcal.report.figures.over_distance import uncertainty_over_distance
 
 _BINS = 12  # over radius, of as many corners each
 _LOW, _HIGH = 0.1, 0.9
@@ -40,6 +40,7 @@ def calibration_plots(
 
     candidates: lens models that were compared, none where the model was given. circle: the image circle, if any.
     """
+    rejected = np.array([corner.pixel for corner in calibration.rejected]) if calibration.rejected else None
     every = (
         image_plane.projection_uncertainty(uncertainty, calibration.camera.image_size, circle),
         _over_distance(calibration, uncertainty),
@@ -51,7 +52,7 @@ def calibration_plots(
             calibration.pixels,
             calibration.camera.image_size,
             len(calibration.used),
-            _rejected(calibration),
+            rejected,
             calibration.camera,
             circle,
         ),
@@ -78,7 +79,7 @@ def residuals_over_radius(calibration: Calibration) -> Plot:
     radius = np.linalg.norm(away, axis=1)
     length = np.linalg.norm(calibration.residuals, axis=1)
     outwards = np.sum(calibration.residuals * away, axis=1) / np.maximum(radius, 1e-9)
-    bias = max((abs(row[2]) for row in _binned(radius, outwards)), default=0.0)
+    bias = max((abs(row[2]) for row in _bin(radius, outwards)), default=0.0)
 
     def draw(figure: FigureBase, theme: Theme) -> None:
         above, below = figure.subplots(2, 1, sharex=True)
@@ -107,7 +108,7 @@ def residuals_over_radius(calibration: Calibration) -> Plot:
     )
 
 
-def _binned(radius: Array, values: Array) -> list[tuple[float, float, float, float]]:
+def _bin(radius: Array, values: Array) -> list[tuple[float, float, float, float]]:
     """Return mean radius, low quantile, median and high quantile of bins of as many values each."""
     parts = np.array_split(np.argsort(radius, kind="stable"), min(_BINS, max(len(radius) // 10, 1)))
     return [
@@ -118,16 +119,11 @@ def _binned(radius: Array, values: Array) -> list[tuple[float, float, float, flo
 
 
 def _draw_over(axes: Axes, radius: Array, values: Array, theme: Theme) -> None:
-    middle, low, median, high = np.array(_binned(radius, values)).T
+    middle, low, median, high = np.array(_bin(radius, values)).T
     axes.plot(radius, values, ".", color=theme.faint, ms=2, rasterized=True)
     axes.fill_between(middle, low, high, color=theme.series[0], alpha=0.25, lw=0, label="10 to 90 %")
     axes.plot(middle, median, color=theme.series[0], lw=1.8, label="median")
     axes.grid(visible=True)
-
-
-def _rejected(calibration: Calibration) -> Array | None:
-    """Return the pixels (N, 2) of rejected corners, None without any."""
-    return np.array([corner.pixel for corner in calibration.rejected]) if calibration.rejected else None
 
 
 def residuals_by_view(rows: Sequence[tuple[str, float, bool]], images: int) -> Plot:

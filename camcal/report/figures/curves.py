@@ -74,7 +74,7 @@ def _draw_curve(axes: Axes, fit: CurveFit, name: str, x: Array, target: Array, t
     _draw_points(axes, fit, x, target, theme)
     if sigma is not None:
         axes.errorbar(x, target, sigma, fmt="none", ecolor=theme.series[0], elinewidth=0.7)
-    fine = _spanned(x)
+    fine = _span(x)
     curve = predictions(fit.curve, {name: fine}, fit.values, len(fine))[:, 0]
     axes.plot(fine, np.where(np.isfinite(curve), curve, np.nan), color=theme.series[1], lw=1.2)
     axes.set_ylabel("measured and fitted")
@@ -84,7 +84,7 @@ def _draw_shape(axes: Axes, fit: CurveFit, theme: Theme) -> None:
     """Draw points in a plane, and the shape as the line on which the distance is zero."""
     (first, x), (second, y) = fit.data.columns.items()
     _draw_points(axes, fit, x, y, theme)
-    grid = np.meshgrid(_spanned(x), _spanned(y))
+    grid = np.meshgrid(_span(x), _span(y))
     columns = {first: grid[0].ravel(), second: grid[1].ravel()}
     distance = predictions(fit.curve, columns, fit.values, grid[0].size)[:, 0].reshape(grid[0].shape)
     axes.contour(*grid, distance, levels=[0.0], colors=theme.series[1], linewidths=1.2)
@@ -109,7 +109,7 @@ def _draw_points(axes: Axes, fit: CurveFit, x: Array, y: Array, theme: Theme) ->
     axes.plot(x[ignored], y[ignored], "o", ms=4, mfc="none", color=theme.ink, label="less than half of its weight")
 
 
-def _spanned(values: Array) -> Array:
+def _span(values: Array) -> Array:
     """Return a fine scale over the range of values and a little beyond."""
     margin = _MARGIN * (float(np.ptp(values)) or 1.0)
     return np.linspace(values.min() - margin, values.max() + margin, _FINE)

@@ -57,7 +57,7 @@ def disparity_map(values: Array) -> Plot:
     words = f"{share:.1f} % of the pixels matched"
     if known.size:
         words = f"{float(known.min()):.4g} to {float(known.max()):.4g} px, {words}"
-    shown, extent = _thinned(values), (-0.5, values.shape[1] - 0.5, values.shape[0] - 0.5, -0.5)
+    shown, extent = _thin(values), (-0.5, values.shape[1] - 0.5, values.shape[0] - 0.5, -0.5)
 
     def draw(figure: FigureBase, theme: Theme) -> None:
         axes = _image_axes(figure)
@@ -113,7 +113,7 @@ def error_map(found: DisparityErrors) -> Plot:
     """Return the errors over the image."""
     values = found.counted
     mean = float(np.mean(np.abs(values))) if len(values) else 0.0
-    shown, extent = _thinned(np.where(found.known, np.abs(found.errors), np.nan)), _extent(found)
+    shown, extent = _thin(np.where(found.known, np.abs(found.errors), np.nan)), _extent(found)
 
     def draw(figure: FigureBase, theme: Theme) -> None:
         axes = _image_axes(figure)
@@ -143,7 +143,7 @@ def bad_pixels(found: DisparityErrors, threshold: float = 2.0) -> Plot:
     kinds[~np.isfinite(found.errors)] = 2
     kinds[~found.visible] = 3
     kinds[~found.known] = 4
-    shown, extent = _thinned(kinds), _extent(found)
+    shown, extent = _thin(kinds), _extent(found)
     words = (f"within {threshold:g} px", f"beyond {threshold:g} px", "no disparity", "occluded", "no truth")
 
     def draw(figure: FigureBase, theme: Theme) -> None:
@@ -175,7 +175,7 @@ def _image_axes(figure: FigureBase) -> Axes:
     return axes
 
 
-def _thinned(image: Array) -> Array:
+def _thin(image: Array) -> Array:
     """Return a copy of every n-th pixel of an image (H, W), no more than can be shown: figures keep no whole image."""
     step = -(-max(image.shape) // _MOST)
     return image[::step, ::step].copy()

@@ -177,12 +177,8 @@ def _draw_coordinate(axes: Axes, track: Track, seen: Array, raw: Array, smooth: 
         axes.plot(track.stamps[inside], smooth[inside], color=theme.series[0], lw=1.2, label=label)
     predicted = np.array(track.states) == PREDICTED
     axes.plot(track.stamps[predicted], smooth[predicted], "o", color=theme.series[0], mfc=theme.paper, ms=3)
-    _limit_axis(axes, np.concatenate([smooth[np.isfinite(smooth)], raw[used]]))
-
-
-def _limit_axis(axes: Axes, values: Array) -> None:
-    """Show what belongs to the track; an outlier far off shall not flatten it."""
-    low, high = np.min(values), np.max(values)
+    shown = np.concatenate([smooth[np.isfinite(smooth)], raw[used]])  # an outlier far off shall not flatten the track
+    low, high = shown.min(), shown.max()
     margin = 0.15 * (high - low) or 1e-3
     axes.set_ylim(low - margin, high + margin)
     axes.grid(visible=True)

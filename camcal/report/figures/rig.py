@@ -29,7 +29,7 @@ from camcal.report.figures.calibration import (
 )
 from camcal.report.figures.figure import DIVERGING_MAP, WIDTH, Plot, Theme, of_part
 from camcal.report.figures.image_plane import colour_bar
-from camcal.report.frusta import board_outline, frustum_length
+from camcal.report.rig_scene import board_outline, frustum_length
 from camcal.report.uncertain import value_and_std
 from camcal.targets.board import Board
 
@@ -121,14 +121,14 @@ def rig_in_space(
 def epipolar_errors(calibration: RigCalibration) -> Plot | None:
     """Return the epipolar error of every capture, the largest first; None where no corner was seen by two cameras."""
     errors = calibration.epipolar_by_capture
-    rows = _ranked(calibration.captures, errors)
+    rows = _rank(calibration.captures, errors)
     if not rows or calibration.epipolar_rms_px is None:
         return None
     total, worst = calibration.epipolar_rms_px, rows[0][1]
     return _bars(
         "epipolar_errors",
         "Epipolar error by capture",
-        f"RMS of the distance of corners from the epipolar lines of what the other camera saw, px, {_shown(rows)}: "
+        f"RMS of the distance of corners from the epipolar lines of what the other camera saw, px, {_captures(rows)}: "
         f"{total:.3g} px over all (dashed), at most {worst:.3g} px in a capture.",
         rows,
         total,
@@ -141,14 +141,14 @@ def exposure_motion(calibration: RigCalibration) -> Plot | None:
     motion = calibration.motion
     if motion is None or not motion.by_capture:
         return None
-    rows = _ranked(calibration.captures, 1e3 * np.array(motion.by_capture))
+    rows = _rank(calibration.captures, 1e3 * np.array(motion.by_capture))
     if not rows:
         return None
     median = 1e3 * motion.median
     return _bars(
         "exposure_motion",
         "Motion between exposures",
-        f"How far the board moved between the exposures of a capture, mm, {_shown(rows)}: median {median:.2g} mm "
+        f"How far the board moved between the exposures of a capture, mm, {_captures(rows)}: median {median:.2g} mm "
         f"(dashed), at most {1e3 * motion.largest:.2g} mm.",
         rows,
         median,
@@ -156,13 +156,13 @@ def exposure_motion(calibration: RigCalibration) -> Plot | None:
     )
 
 
-def _ranked(names: Sequence[str], values: Array) -> list[tuple[str, float, bool]]:
+def _rank(names: Sequence[str], values: Array) -> list[tuple[str, float, bool]]:
     """Return names and values that are known, the largest first."""
     known = [(name, float(value), True) for name, value in zip(names, values, strict=True) if np.isfinite(value)]
     return sorted(known, key=lambda row: (-row[1], row[0]))
 
 
-def _shown(rows: Sequence[tuple[str, float, bool]]) -> str:
+def _captures(rows: Sequence[tuple[str, float, bool]]) -> str:
     """Return which rows are drawn, in words."""
     return f"the {NAMED} largest of {len(rows)} captures" if len(rows) > NAMED else counted(len(rows), "capture")
 

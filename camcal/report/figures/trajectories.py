@@ -125,7 +125,7 @@ def in_planes(path: DrawnPath) -> Plot:
             axes.grid(visible=True)
         parts["words"].set_axis_off()
         parts["words"].legend(*parts["xy"].get_legend_handles_labels(), loc="center")
-        figure.colorbar(_mapped(path, theme), ax=list(parts.values()), label=path.label, shrink=0.8, pad=0.02)
+        figure.colorbar(_mappable(path, theme), ax=list(parts.values()), label=path.label, shrink=0.8, pad=0.02)
 
     return Plot(
         "trajectory_planes",
@@ -143,7 +143,7 @@ def _scale(path: DrawnPath) -> Normalize:
     return Normalize(low, high if high > low else low + 1)
 
 
-def _mapped(path: DrawnPath, theme: Theme) -> ScalarMappable:
+def _mappable(path: DrawnPath, theme: Theme) -> ScalarMappable:
     return ScalarMappable(_scale(path), line_colours(theme))
 
 
@@ -192,7 +192,7 @@ def in_space(path: DrawnPath) -> Plot:
         for name in _AXES:
             getattr(axes, f"set_{name}label")(f"{name}, {unit}")
         axes.legend(loc="upper left")
-        figure.colorbar(_mapped(path, theme), ax=axes, label=path.label, shrink=0.6, pad=0.14)
+        figure.colorbar(_mappable(path, theme), ax=axes, label=path.label, shrink=0.6, pad=0.14)
 
     return Plot(
         "trajectory_space",

@@ -1,4 +1,4 @@
-"""The sections of a report on the calibration of a camera."""
+"""The sections of a report on the calibration of a camera, and the report where there is no calibration."""
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -10,15 +10,14 @@ import numpy as np
 from camcal.calibrate.intrinsics import Calibration, CandidateModel
 from camcal.cameras.model import Camera
 from camcal.cameras.validity import ImageCircle, field_of_view
-from camcal.messages import Message
+from camcal.messages import Message, counted
 from camcal.quality.assess import Assessment
 from camcal.quality.projection_uncertainty import ProjectionUncertainty
 from camcal.report.calibration import CANDIDATE_COLUMNS, candidate_rows, parameter_rows, summary
 from camcal.report.figures.calibration import calibration_plots
-from camcal.report.page.pictures import pictures
-from camcal.report.page.record import Figure, PageVerdict, Picture, Section, Table
-from camcal.report.page.thumbnails import MOST, thumbnails
-from camcal.report.page.verdict import checks_table, sentence, verdict
+from camcal.report.page.record import DataBlock, Figure, Page, PageVerdict, Picture, Section, Table
+from camcal.report.page.thumbnails import MOST, corner_thumbnail, photo_key, pictures, thumbnails
+from camcal.report.page.verdict import checks_table, refusal, sentence, verdict
 from camcal.report.uncertain import (
     held_by_prior_words,
     length_unit,
@@ -28,6 +27,8 @@ from camcal.report.uncertain import (
     value_and_std,
     value_with_std,
 )
+from camcal.targets.board import Board
+from camcal.targets.detection import BoardDetection
 from camcal.targets.surface import RATIOS, Surface
 
 _NOT_IN_IDS = re.compile(r"[^A-Za-z0-9]+")
@@ -63,7 +64,7 @@ class CalibratedCamera:
 
 def camera_verdict(camera: CalibratedCamera, warnings: Sequence[Message]) -> PageVerdict:
     """Return the verdict in words; warnings: all of the calibration, those of detection too."""
-    known = _at_corner(camera.uncertainty)
+    known = _at_centre_and_corner(camera.uncertainty)[1]
     where = f", {known} at the image corner" if known else ""
     figures = camera.uncertainty.figures()
     inside = figures.get("inside_rms_px", figures.get("rms_px", float("nan")))
@@ -79,7 +80,7 @@ def key_figures(camera: CalibratedCamera) -> Iterator[Figure]:
     yield Figure(
         "Reprojection error (RMS)", _px(calibration.rms_px), f"noise of a coordinate {_px(calibration.sigma_px)}"
     )
-    centre, corner = _at_centre(camera.uncertainty), _at_corner(camera.uncertainty)
+    centre, corner = _at_centre_and_corner(camera.uncertainty)
     yield Figure(
         "Projection uncertainty",
         f"{centre or 'unknown'} / {corner or 'unknown'}",
@@ -103,23 +104,15 @@ def focal_figure(camera: Camera, of: str = "") -> Figure:
     return Figure(f"{of}focal length fx" if of else "Focal length fx", f"{focal} px", f"fy {other} px")
 
 
-def _at_centre(uncertainty: ProjectionUncertainty) -> str:
-    grid = _grid(uncertainty)
-    return _known(float(grid[grid.shape[0] // 2, grid.shape[1] // 2]))
+def _at_centre_and_corner(uncertainty: ProjectionUncertainty) -> tuple[str, str]:
+    """Return the uncertainty at the centre of the image and at that corner where it is largest.
 
-
-def _at_corner(uncertainty: ProjectionUncertainty) -> str:
-    """Return the uncertainty at the corner of the image where it is largest, "" where one of them is not valid."""
-    grid = _grid(uncertainty)
-    return _known(float(np.max(grid[[0, 0, -1, -1], [0, -1, 0, -1]])))
-
-
-def _grid(uncertainty: ProjectionUncertainty) -> np.ndarray:
-    return uncertainty.std_rms.reshape(len(uncertainty.v), len(uncertainty.u))
-
-
-def _known(value: float) -> str:
-    return _px(value) if isfinite(value) else ""
+    It is "" where it is not known, and where the lens model is not valid at one of the corners.
+    """
+    grid = uncertainty.std_rms.reshape(len(uncertainty.v), len(uncertainty.u))
+    centre, corner = grid[grid.shape[0] // 2, grid.shape[1] // 2], np.max(grid[[0, 0, -1, -1], [0, -1, 0, -1]])
+    at_centre, at_corner = (_px(float(value)) if isfinite(value) else "" for value in (centre, corner))
+    return at_centre, at_corner
 
 
 def _px(value: float) -> str:
@@ -151,14 +144,11 @@ def camera_sections(camera: CalibratedCamera, warnings: Sequence[Message] = ()) 
         caption = "Lens models by how well they predict left-out views"
         table = Table.under(caption, CANDIDATE_COLUMNS, candidate_rows(camera.candidates))
         yield Section(f"{prefix}models", "Choice of the lens model", pictures=taken("lens_models"), tables=[table])
-    yield Section(f"{prefix}checks", "Checks", _checked(warnings), tables=[checks_table(warnings, camera.owner)])
+    names = ", ".join(dict.fromkeys(each.code for each in warnings))
+    lines = [f"Named: {names}." if names else "No fault was named."]
+    yield Section(f"{prefix}checks", "Checks", lines, tables=[checks_table(warnings, camera.owner)])
     if found:
         yield Section(f"{prefix}more", "Further figures", pictures=list(found.values()))
-
-
-def _checked(messages: Sequence[Message]) -> list[str]:
-    named = ", ".join(dict.fromkeys(each.code for each in messages))
-    return [f"Named: {named}." if named else "No fault was named."]
 
 
 def board_section(surface: Surface, shown: Sequence[Picture], prefix: str = "") -> Section:
@@ -235,3 +225,47 @@ def _strongest(own: CalibratedCamera, names: Sequence[str]) -> Table:
 
 def _unit(name: str) -> str:
     return "px" if name in ("fx", "fy", "cx", "cy") else ""
+
+
+def refused_page(
+    title: str,
+    board: Board,
+    views: Sequence[BoardDetection],
+    failure: Message,
+    made: str,
+    closing: Sequence[Section],
+    blocks: Sequence[DataBlock],
+    photos: Mapping[str, str],
+) -> Page:
+    """Return the report; failure: why there is no calibration. closing: the last sections."""
+    verdict, shown = refusal(failure)
+    detected = [view for view in views if view.found]
+    shown_views = [
+        corner_thumbnail(each, photos.get(photo_key(each.camera, each.image), "")) for each in detected[:MOST]
+    ]
+    rows = [[photo_key(view.camera, view.image), f"{len(view.ids)}", view.reason or ""] for view in views]
+    table = Table.of("All images", ("image", "corners", "no corners because"), rows)
+    lines = ["Blue dots: detected corners. The corner ids of all views have to be those of the board that is given."]
+    return Page(
+        title,
+        f"{counted(len(views), 'image')}, board: {board.words}",
+        verdict,
+        (shown,),
+        figures=tuple(_detection_figures(board, views)),
+        sections=(
+            Section("images", "Images", lines, thumbnails=shown_views, tables=[table]),
+            *closing,
+        ),
+        made=made,
+        blocks=blocks,
+    )
+
+
+def _detection_figures(board: Board, views: Sequence[BoardDetection]) -> list[Figure]:
+    found = [view for view in views if view.found]
+    corners = sum(len(view.ids) for view in found)
+    each = f"median {np.median([len(view.ids) for view in found]):.0f} of {board.count} in a view" if found else ""
+    return [
+        Figure("Images with the board", f"{len(found)} of {len(views)}"),
+        Figure("Corners detected", f"{corners}", each),
+    ]

@@ -13,8 +13,8 @@ from camcal.quality.rig_geometry import PairGeometry
 from camcal.report.calibration import CANDIDATE_COLUMNS, candidate_rows
 from camcal.report.figures.rig import joint_plots
 from camcal.report.page.calibration import CalibratedCamera, camera_sections, camera_verdict
-from camcal.report.page.pictures import pictures
 from camcal.report.page.record import BAD, Figure, PageVerdict, Section, Table
+from camcal.report.page.thumbnails import pictures
 from camcal.report.page.verdict import sentence, verdict
 from camcal.report.rig import (
     CAMERA_COLUMNS,

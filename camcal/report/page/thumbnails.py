@@ -1,5 +1,10 @@
-"""Images of a calibration as thumbnails: corners, magnified residuals, rejected corners, and the photograph."""
+"""The pictures of a page: plots in both themes, and images of a calibration as thumbnails.
 
+A thumbnail shows corners, magnified residuals, rejected corners, and the photograph. Plots are drawn as lines where
+these are few, as pixels where they are many.
+"""
+
+import base64
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -10,10 +15,12 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.calibrate.intrinsics import Calibration, View
 from camcal.messages import counted
-from camcal.report.page.pictures import data_uri
-from camcal.report.page.record import Thumbnail
+from camcal.report.figures.figure import DARK, LIGHT, Plot, Theme, encoded
+from camcal.report.page.record import Picture, Thumbnail
 from camcal.targets.detection import BoardDetection
 
+_PX_PER_INCH = 96
+_COLOUR = re.compile(rb"#[0-9a-f]{6}\b")
 MOST = 12  # images shown; all are listed
 PHOTO = re.compile(r"data:image/jpeg;base64,[A-Za-z0-9+/]+={0,2}")  # a photograph of a page
 _WIDTH = 320  # px of a photograph
@@ -22,6 +29,45 @@ _REACH = 0.05  # of the image width: how long the longest usual residual is draw
 _QUANTILE = 0.95
 _CROSS = 0.012  # of the image width
 _FACTORS = tuple(digit * 10**power for power in range(6) for digit in (1, 2, 5))
+
+
+def pictures(plots: Sequence[Plot], prefix: str = "") -> dict[str, Picture]:
+    """Return the pictures of plots by the names of these; prefix: of their ids in the page."""
+    return {plot.name: _picture(plot, prefix) for plot in plots}
+
+
+def _picture(plot: Plot, prefix: str) -> Picture:
+    suffix = ".png" if plot.dense else ".svg"
+    light = encoded(plot, suffix, LIGHT, titled=False)
+    # what is drawn as lines differs in its colours only, and need not be laid out twice
+    dark = encoded(plot, suffix, DARK, titled=False) if plot.dense else _recolour(light)
+    width, height = (round(side * _PX_PER_INCH) for side in plot.size)
+    return Picture(
+        f"{prefix}figure-{plot.name}",
+        plot.title,
+        plot.caption,
+        plot.alt,
+        light=data_uri(light, suffix),
+        dark=data_uri(dark, suffix),
+        size=(width, height),
+    )
+
+
+def _recolour(svg: bytes) -> bytes:
+    """Return an SVG of the light theme in the colours of the dark one."""
+    pairs = dict(zip(reversed(_colours(LIGHT)), reversed(_colours(DARK)), strict=True))
+    return _COLOUR.sub(lambda found: pairs.get(found.group(), found.group()), svg)
+
+
+def _colours(theme: Theme) -> list[bytes]:
+    named = (theme.paper, theme.ink, theme.faint, *theme.series, theme.bad, theme.good)
+    return [colour.encode("ascii") for colour in named]
+
+
+def data_uri(content: bytes, suffix: str) -> str:
+    """Return the bytes of an image file as a data URI."""
+    kind = {".svg": "svg+xml", ".png": "png", ".jpg": "jpeg"}[suffix]
+    return f"data:image/{kind};base64,{base64.b64encode(content).decode('ascii')}"
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,10 +13,10 @@ _REMEDY = ": "  # what a message says is: what was found: what to do
 def shown_messages(failures: Iterable[Message], warnings: Iterable[Message]) -> tuple[ShownMessage, ...]:
     """Return failures, then warnings, each with what to do and the rule that it is from."""
     every = [(FAILURE, each) for each in failures] + [(WARNING, each) for each in warnings]
-    return tuple(_shown(level, each) for level, each in every)
+    return tuple(_show_message(level, each) for level, each in every)
 
 
-def _shown(level: str, message: Message) -> ShownMessage:
+def _show_message(level: str, message: Message) -> ShownMessage:
     what, remedy = _parts(message.text)
     criterion = CRITERIA.get(message.code)
     rule = _MEANINGS.get(message.code, "") if criterion is None else _rule(criterion, message)
@@ -72,7 +72,7 @@ def verdict(failures: Sequence[Message], warnings: Sequence[Message], known: str
 def refusal(message: Message) -> tuple[PageVerdict, ShownMessage]:
     """Return the verdict of detections that no calibration can be made from, and why."""
     why = "No calibration can be made from these detections. Nothing was written but this report."
-    return PageVerdict(REFUSED, "No calibration", why), _shown(FAILURE, message)
+    return PageVerdict(REFUSED, "No calibration", why), _show_message(FAILURE, message)
 
 
 def checks_table(messages: Sequence[Message], owner: str) -> Table:

@@ -111,7 +111,7 @@ def _eight_bits(left: Array, right: Array) -> tuple[Array, Array]:
     return first, second
 
 
-def _exposed_alike(pair: GrayPair, coarse: CoarseMap) -> GrayPair:
+def _expose_alike(pair: GrayPair, coarse: CoarseMap) -> GrayPair:
     """Return the pair with the image of less contrast in the other one's exposure, itself where theirs hardly differ.
 
     Only what both images show is compared: a camera that sees more of a bright wall is not exposed differently.
@@ -178,7 +178,7 @@ def prepare(
     pair = gray_pair(left, right)
     coarse = coarse_map(pair.left, pair.right) if align or expose or search is None else None
     if expose and coarse is not None and not coarse.periodic:
-        pair = _exposed_alike(pair, coarse)
+        pair = _expose_alike(pair, coarse)
     residual = _residual(pair, coarse) if align else None
     warnings, failures = list[Message](), list[Message]()
     if residual is not None and not (coarse is not None and coarse.periodic):
@@ -188,7 +188,7 @@ def prepare(
     rows = 0.0
     if residual is not None:
         try:
-            pair, rows = _aligned(pair, residual)
+            pair, rows = _align(pair, residual)
         except InvalidInput as error:
             failures.append(Message("rows_not_aligned", error.message))
     if search is None:
@@ -221,7 +221,7 @@ def _residual(pair: GrayPair, coarse: CoarseMap | None) -> Residual | None:
         return None
 
 
-def _aligned(pair: GrayPair, residual: Residual) -> tuple[GrayPair, float]:
+def _align(pair: GrayPair, residual: Residual) -> tuple[GrayPair, float]:
     """Return the pair with its rows put right, and by how many pixels (RMS); see `row_correction`."""
     correction = row_correction(residual)
     if correction is None:

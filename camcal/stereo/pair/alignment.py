@@ -14,7 +14,7 @@ from camcal.arrays import Array, readonly
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.images.remap import Maps
 from camcal.opencv import resized
-from camcal.stereo.acceptance import LIMITS
+from camcal.stereo.disparity import LIMITS
 from camcal.stereo.pair.coarse import (
     PIXELS,
     Matches,
@@ -158,7 +158,7 @@ def quick_residual(left: Array, right: Array, coarse: Array | None = None) -> Re
 def residual_of(matches: Matches) -> Residual:
     """Return how far the rows of matches are off; raises InsufficientData if too few agree."""
     dy = matches.right[:, 1] - matches.left[:, 1]
-    at = _normalised(np.column_stack([matches.right[:, 0], matches.left[:, 1]]), matches.size)
+    at = _normalise(np.column_stack([matches.right[:, 0], matches.left[:, 1]]), matches.size)
     plane = np.column_stack([np.ones(len(at)), at])
     weights = _agreement(plane, dy, _NEAR * matches.coarseness)
     kept = weights > 0
@@ -169,7 +169,7 @@ def residual_of(matches: Matches) -> Residual:
             f"{_why_so_few(matches)}"
         )
     disparity = matches.left[:, 0] - matches.right[:, 0]
-    values, covariance = _solved(plane, dy, weights)
+    values, covariance = _solve(plane, dy, weights)
     deviations = np.sqrt(np.diag(covariance))
     off = dy[kept]
     return Residual(
@@ -226,7 +226,7 @@ def _why_so_few(matches: Matches) -> str:
     return "check that both images show the same scene"
 
 
-def _normalised(pixels: Array, size: tuple[int, int]) -> Array:
+def _normalise(pixels: Array, size: tuple[int, int]) -> Array:
     """Return pixels (N, 2) as places from -1/2 to 1/2 across the image."""
     return np.asarray(pixels / np.maximum(np.subtract(size, 1), 1) - 0.5)
 
@@ -246,7 +246,7 @@ def _agreement(plane: Array, dy: Array, near: float) -> Array:
         return np.zeros(len(dy))
     weights: Array = (np.abs(dy - plane @ _most_agreed(plane, dy, near)) < near).astype(float)
     for _ in range(_ROUNDS):
-        off = np.abs(dy - plane @ _solved(plane, dy, weights)[0])
+        off = np.abs(dy - plane @ _solve(plane, dy, weights)[0])
         scatter = float(np.clip(_NORMAL * np.median(off[weights > 0]), _LEAST_SCATTER, near))
         before, weights = weights, np.maximum(1 - (off / (_BREAK * scatter)) ** 2, 0) ** 2
         if np.abs(weights - before).max() < 1e-6:
@@ -266,7 +266,7 @@ def _most_agreed(plane: Array, dy: Array, near: float) -> Array:
     return np.asarray(level[np.argmin(off.sum(axis=1))])
 
 
-def _solved(design: Array, dy: Array, weights: Array) -> tuple[Array, Array]:
+def _solve(design: Array, dy: Array, weights: Array) -> tuple[Array, Array]:
     """Return the values (K,) of a weighted fit and their covariance (K, K)."""
     normal = np.linalg.pinv(design.T @ (weights[:, None] * design))
     values = normal @ (design.T @ (weights * dy))
@@ -285,11 +285,11 @@ def _std_of_median(values: Array) -> float:
 
 def _convergence(plane: Array, disparity: Array, dy: Array, weights: Array) -> Measured | None:
     """Return how rows depend on disparity where the plane is allowed for, None where the two cannot be told apart."""
-    flat, _ = _solved(plane, disparity, weights)
+    flat, _ = _solve(plane, disparity, weights)
     own = disparity - plane @ flat
     if np.sqrt(np.average(own**2, weights=weights)) < _LEAST_SPREAD:
         return None
-    values, covariance = _solved(np.column_stack([plane, own]), dy, weights)
+    values, covariance = _solve(np.column_stack([plane, own]), dy, weights)
     return Measured(float(values[3]), float(np.sqrt(covariance[3, 3])))
 
 
@@ -306,8 +306,8 @@ def track_corners(left: Array, right: Array, coarse: Array | None = None) -> Mat
     scale = min(1.0, sqrt(PIXELS / left.size))
     first, second = (image if scale == 1 else resized(image, scale) for image in (left, right))
     corners = _corners(first, np.isfinite(coarse))
-    guesses = corners - np.column_stack([_looked_up(coarse, corners, first.shape) * scale, np.zeros(len(corners))])
-    found, kept = _followed(first, second, corners, guesses.astype(np.float32))
+    guesses = corners - np.column_stack([_look_up(coarse, corners, first.shape) * scale, np.zeros(len(corners))])
+    found, kept = _follow(first, second, corners, guesses.astype(np.float32))
     astray = np.hypot(*(found - guesses).T)
     kept &= astray < _ASTRAY * (first.shape[1] / coarse.shape[1] + 1)
     ratio = np.array(size) / first.shape[::-1]
@@ -327,14 +327,14 @@ def _corners(gray: Array, known: Array) -> Array:
     return np.zeros((0, 2), np.float32) if corners is None else np.asarray(corners, np.float32).reshape(-1, 2)
 
 
-def _looked_up(coarse: Array, pixels: Array, shape: tuple[int, ...]) -> Array:
+def _look_up(coarse: Array, pixels: Array, shape: tuple[int, ...]) -> Array:
     """Return the values (N,) of a reduced map at pixels (N, 2) of the image it is of."""
     places = (pixels + 0.5) * (np.array(coarse.shape[::-1]) / shape[::-1])
     columns, rows = np.minimum(places.astype(int), np.subtract(coarse.shape[::-1], 1)).T
     return np.asarray(np.nan_to_num(coarse[rows, columns]))
 
 
-def _followed(first: Array, second: Array, corners: Array, guesses: Array) -> tuple[Array, Array]:
+def _follow(first: Array, second: Array, corners: Array, guesses: Array) -> tuple[Array, Array]:
     """Return where corners (N, 2) of the first image are in the second, pixels, and the mask (N,) of those found."""
     if not len(corners):
         return guesses, np.zeros(0, bool)

@@ -8,7 +8,7 @@ import numpy as np
 from camcal.arrays import Array, readonly
 from camcal.errors import InvalidInput
 from camcal.messages import Message
-from camcal.stereo.acceptance import LIMITS
+from camcal.stereo.disparity import LIMITS
 from camcal.stereo.pair.alignment import LARGEST_CORRECTION, Measured, Residual, residual_of
 from camcal.stereo.pair.coarse import Matches, coarse_map, match_features, range_in
 

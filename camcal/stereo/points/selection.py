@@ -99,7 +99,9 @@ def select(image: StereoImage, selection: Selection, frame: Frame, each: Each = 
 
     each(choose, row_blocks(image.shape, _BLOCK))
     if selection.stride > 1:
-        kept &= _on_grid(image.shape, selection.stride)
+        grid = np.zeros(image.shape, bool)
+        grid[:: selection.stride, :: selection.stride] = True
+        kept &= grid
     if selection.outliers == RADIUS:
         alone[0] = _remove_lonely(image, selection.radius, kept)
     return Selected(kept, int(matched.sum()), int(alone.sum()))
@@ -128,12 +130,6 @@ def _apply_crop(places: BackProjection, selection: Selection, rows: slice, depth
     for axis in range(3):
         coordinate = places.coordinate(axis, rows, depth)
         chosen &= (coordinate >= crop[axis, 0]) & (coordinate <= crop[axis, 1])
-
-
-def _on_grid(shape: tuple[int, int], stride: int) -> Array:
-    grid = np.zeros(shape, bool)
-    grid[::stride, ::stride] = True
-    return grid
 
 
 def _remove_lonely(image: StereoImage, radius: float | None, kept: Array) -> int:

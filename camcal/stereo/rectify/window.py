@@ -118,16 +118,16 @@ def window_of(
     left, right = _of_one_width(*columns, together=options.zero_disparity)
     window = Window(projection, viewers[0].along, (left, right), rows)
     if options.alpha < 1:
-        window = _cropped(window, viewers, options.alpha)
-    window = _sized(window, _native_focal(viewers, field, shown, projection), viewers, options)
-    return _judged(window, viewers, field, options)
+        window = _crop(window, viewers, options.alpha)
+    window = _size(window, _native_focal(viewers, field, shown, projection), viewers, options)
+    return _judge(window, viewers, field, options)
 
 
 def _rows(viewers: tuple[Viewer, Viewer], field: CommonField, shown: Region, projection: str) -> Interval:
     """Return the rows in the plane, their ends exact where the outline of a camera makes them."""
     outlines = [viewer.outline().about for viewer in viewers]
     ends = Interval(max(each.min() for each in outlines), min(each.max() for each in outlines))
-    exact = _snapped(shown.about, ends, _NEAR * float(field.left.about[1] - field.left.about[0]))
+    exact = _snap(shown.about, ends, _NEAR * float(field.left.about[1] - field.left.about[0]))
     return Interval(*to_plane(projection, Directions(np.zeros(2), np.array(exact))).across)
 
 
@@ -143,10 +143,10 @@ def _columns(viewer: Viewer, field: CommonField, shown: Region, projection: str,
     if not inside.any():
         return found
     around = to_plane(projection, Directions(outline.off[inside], outline.about[inside])).along
-    return _snapped(found, Interval(around.min(), around.max()), _NEAR * (edges[1] - edges[0]))
+    return _snap(found, Interval(around.min(), around.max()), _NEAR * (edges[1] - edges[0]))
 
 
-def _snapped(found: Interval, exact: Interval, near: float) -> Interval:
+def _snap(found: Interval, exact: Interval, near: float) -> Interval:
     low, high = (there if abs(here - there) < near else here for here, there in zip(found, exact, strict=True))
     return Interval(float(low), float(high))
 
@@ -173,7 +173,7 @@ def _native_focal(viewers: tuple[Viewer, Viewer], field: CommonField, shown: Reg
     return max(found)
 
 
-def _sized(window: Window, native: float, viewers: tuple[Viewer, Viewer], options: RectifiedViewOptions) -> Window:
+def _size(window: Window, native: float, viewers: tuple[Viewer, Viewer], options: RectifiedViewOptions) -> Window:
     """Return the window with its focal length and size."""
     length, breadth = window.columns[0].width, window.rows.width
     if options.size is not None:
@@ -188,7 +188,7 @@ def _sized(window: Window, native: float, viewers: tuple[Viewer, Viewer], option
     return replace(window, focal=focal, size=sides[::-1] if window.along else sides)
 
 
-def _cropped(window: Window, viewers: tuple[Viewer, Viewer], alpha: float) -> Window:
+def _crop(window: Window, viewers: tuple[Viewer, Viewer], alpha: float) -> Window:
     """Return the window between the largest one valid in both images (alpha 0) and the given one (1)."""
     shares = (np.arange(_CHECKED) + 0.5) / _CHECKED
     across = window.rows.low + shares * window.rows.width
@@ -226,9 +226,7 @@ def _largest_rectangle(valid: BoolArray) -> tuple[tuple[int, int], tuple[int, in
     return found
 
 
-def _judged(
-    window: Window, viewers: tuple[Viewer, Viewer], field: CommonField, options: RectifiedViewOptions
-) -> Window:
+def _judge(window: Window, viewers: tuple[Viewer, Viewer], field: CommonField, options: RectifiedViewOptions) -> Window:
     """Return the window with the share of the common field that it keeps, and why it is not all of it.
 
     Points along rays of all of an image are counted at several distances, if both cameras see them, whether the window

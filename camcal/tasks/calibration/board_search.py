@@ -90,7 +90,7 @@ def first_views(asked: Board, material: Material, *, parts: bool) -> tuple[Board
     if whole and len(boards) == 1:
         return boards[0], []
     reading = replace(material.reading, colours=False)
-    work = partial(_tried_in, reading=reading, boards=boards, parts=parts, votes_only=whole)
+    work = partial(_try_in, reading=reading, boards=boards, parts=parts, votes_only=whole)
     votes, without, shown = np.zeros(len(boards), np.intp), list[BoardDetection](), 0
     for outcome in material.search(work, few.sources(), _TRYING):
         own, view = outcome.value or (np.zeros_like(votes), None)
@@ -101,7 +101,7 @@ def first_views(asked: Board, material: Material, *, parts: bool) -> tuple[Board
     return boards[int(votes.argmax())], [] if shown else without
 
 
-def _tried_in(
+def _try_in(
     task: tuple[str, Path | Frame], reading: ImageReadOptions, boards: Sequence[Board], parts: bool, votes_only: bool
 ) -> tuple[IntArray, BoardDetection | None]:
     """Return what speaks for each of the boards in an image, and what it shows where that is nothing."""
@@ -111,15 +111,12 @@ def _tried_in(
             votes = arrangement_votes(gray_of(task[1], reading), boards)
         if votes_only or votes.any():
             return votes, None
-    view = _view_in(task, reading, boards[0], parts)
-    return votes + len(view.ids), None if view.found else view
-
-
-def _view_in(task: tuple[str, Path | Frame], reading: ImageReadOptions, board: Board, parts: bool) -> BoardDetection:
     name, source = task
     if isinstance(source, Frame):
-        return detect_frame((name, source, board), parts)
-    return detect_file((source, board), reading, parts)
+        view = detect_frame((name, source, boards[0]), parts)
+    else:
+        view = detect_file((source, boards[0]), reading, parts)
+    return votes + len(view.ids), None if view.found else view
 
 
 def gray_of(source: Path | Frame, reading: ImageReadOptions) -> Array:

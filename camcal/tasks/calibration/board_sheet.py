@@ -38,7 +38,9 @@ def board_sheet(options: SheetOptions, _: Progress = SILENT) -> BoardSheet:
     """
     board = _as_printed(boards.load_board(options.board))
     ink = ink_of(board)
-    page, paper = page_of(ink, _footer(board, ruler=options.ruler), _sheet(options))
+    wanted = None if options.paper is None else paper_named(options.paper)
+    sheet = Sheet(wanted, options.landscape, options.margin_mm)
+    page, paper = page_of(ink, _footer(board, ruler=options.ruler), sheet)
     pixels = _pixels(options, ink, page)
     there, target = _is_there(options.board_file, board), _target(options, board)
     claim([options.output] if there else [options.output, options.board_file])
@@ -71,11 +73,6 @@ def document(sheet: BoardSheet) -> dict[str, Any]:
 def _as_printed(board: Board) -> Board:
     """Return the board with the pattern it is printed with: of ChArUco boards that do not say, the current one."""
     return replace(board, legacy=bool(board.legacy)) if board.type == CHARUCO else board
-
-
-def _sheet(options: SheetOptions) -> Sheet:
-    paper = None if options.paper is None else paper_named(options.paper)
-    return Sheet(paper, options.landscape, options.margin_mm)
 
 
 def _pixels(options: SheetOptions, ink: Ink, page: Page) -> tuple[int, int] | None:
@@ -121,7 +118,8 @@ def _footer(board: Board, *, ruler: bool) -> Footer:
 
 def _lengths(board: Board) -> str:
     """Return the lengths of a board in words."""
-    spacing, marker, diameter = (_mm(length or 0.0) for length in (board.square, board.marker, board.diameter))
+    lengths = (board.square, board.marker, board.diameter)
+    spacing, marker, diameter = (f"{(length or 0.0) * MM:.6g} mm" for length in lengths)
     if board.type == CHESSBOARD:
         return f"squares of {spacing}"
     if board.type == CHARUCO:
@@ -129,7 +127,3 @@ def _lengths(board: Board) -> str:
     if board.type == APRILGRID:
         return f"tags of {marker}, {spacing} from tag to tag, {board.dictionary}"
     return f"{'rows ' if board.type == ASYMMETRIC_CIRCLES else ''}{spacing} apart, diameter {diameter}"
-
-
-def _mm(metres: float) -> str:
-    return f"{metres * MM:.6g} mm"

@@ -36,13 +36,12 @@ from camcal.run.outputs import writes
 from camcal.run.paths import split_address
 from camcal.targets.board import Board
 from camcal.targets.detection import BoardDetection
-from camcal.tasks.calibration.board_views import BoardViews, board_views
+from camcal.tasks.calibration.board_views import BoardViews, board_views, screenshots
 from camcal.tasks.calibration.camera_result import Channel, camera_file, channel_figures
 from camcal.tasks.calibration.corner_refinement import RefinementSummary, is_refined, refine_corners
 from camcal.tasks.calibration.image_circle_of_views import circle_lines, known_circle, with_circle
 from camcal.tasks.calibration.model_selection import Selection, compared, solve
 from camcal.tasks.calibration.options import CalibrateOptions
-from camcal.tasks.calibration.screenshots import screenshots
 from camcal.tasks.calibration.video_frames import FrameRecord
 from camcal.tasks.calibration.video_frames import as_data as frame_data
 from camcal.tasks.figure_files import figure_data, write_figures
@@ -160,7 +159,7 @@ def calibrated(
     try:
         if refined:
             brief = _brief(seen, how, options.model is None, circle, progress)
-            seen, selection, refinement, found = _refined(seen, brief, solve_seen, options, progress)
+            seen, selection, refinement, found = _refine(seen, brief, solve_seen, options, progress)
         else:
             selection = _solve_views(solve_seen, seen, progress)
     except (InsufficientData, NotConverged) as refusal:
@@ -250,7 +249,7 @@ def _solve_views(
         progress.finish()
 
 
-def _refined(
+def _refine(
     seen: BoardViews,
     brief: Calibration | None,
     solve: Callable[[Sequence[BoardDetection]], Selection],

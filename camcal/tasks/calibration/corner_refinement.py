@@ -102,7 +102,7 @@ def refine_corners(
         for view, record in pairs
         if record.used
     }
-    work = partial(_remeasured, reading=reading)
+    work = partial(_remeasure, reading=reading)
     tasks, what = _expected_views(expected, videos), "measuring corners"
     outcomes = fan_out(work, tasks, jobs=jobs, batch=batch.keep_going, processes=True, what=what, progress=progress)
     again = {outcome.value.image: outcome.value for outcome in outcomes if outcome.value is not None}
@@ -124,7 +124,7 @@ def _expected_views(expected: Mapping[str, _ExpectedView], videos: Sequence[Vide
             yield replace(expected_view, image=frame.image.pixels)
 
 
-def _remeasured(expected_view: _ExpectedView, reading: ImageReadOptions) -> BoardDetection:
+def _remeasure(expected_view: _ExpectedView, reading: ImageReadOptions) -> BoardDetection:
     """Return a view with its corners measured again."""
     view, image = expected_view.view, expected_view.image
     samples = _samples(image, view.size, reading) if isinstance(image, Path) else MaskedImage(image)

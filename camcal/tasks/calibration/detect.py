@@ -92,10 +92,10 @@ def detect_images(options: DetectOptions, progress: Progress = SILENT) -> Detect
     drawn then.
     """
     with journal_beside(options.output, options.batch):
-        return _detected(options, progress)
+        return _detect(options, progress)
 
 
-def _detected(options: DetectOptions, progress: Progress) -> DetectReport:
+def _detect(options: DetectOptions, progress: Progress) -> DetectReport:
     asked = _board(options)
     require_findable(asked, partial=options.parts)
     require_colours(asked, options.reading)
@@ -105,7 +105,7 @@ def _detected(options: DetectOptions, progress: Progress) -> DetectReport:
     found = search_board(asked, media.images, videos, options, progress)
     board, errors = found.board, found.errors
     if found.nothing:
-        _drawn(found.views, videos, options, progress)  # here the reasons are wanted most
+        _draw_views(found.views, videos, options, progress)  # here the reasons are wanted most
         raise found.nothing
     size = usual_size(found.views)
     records = settled(found.in_videos, board, size, options.frames)
@@ -132,7 +132,7 @@ def _detected(options: DetectOptions, progress: Progress) -> DetectReport:
         ),
         frames=records,
         videos=tuple(videos),
-        pictures=_drawn(sized.in_files(before), videos, options, progress),
+        pictures=_draw_views(sized.in_files(before), videos, options, progress),
     )
 
 
@@ -174,7 +174,8 @@ def search_board(
     errors += lost
     options.batch.raise_first(errors)
     found = [*seen, *framed]
-    _require_readable(found, errors)
+    if not found:
+        raise errors[0] if len(errors) == 1 else FileError(f"none of {len(errors)} images can be read; {errors[0]}")
     nothing = _nothing(asked, board, found, material, options)
     return FoundBoards(board, tuple(seen), tuple(framed), tuple(errors), nothing)
 
@@ -203,15 +204,6 @@ def _board(options: DetectOptions) -> Board:
     return boards.load_board(options.board) if isinstance(options.board, str) else options.board
 
 
-def _drawn(
-    views: Sequence[BoardDetection], videos: Sequence[Video], options: DetectOptions, progress: Progress
-) -> tuple[Path, ...]:
-    if options.draw is None:
-        return ()
-    outputs = pictures([view.image for view in views], options.draw)
-    return draw(views, outputs, videos, options, progress)
-
-
 def _media(options: DetectOptions) -> Media:
     """Return what there is to look at; videos are no raw frames and are left out where these are asked for."""
     if options.reading != AS_IMAGES:
@@ -223,23 +215,13 @@ def _media(options: DetectOptions) -> Media:
 
 def _require_outputs(options: DetectOptions, media: Media) -> None:
     """Raise InvalidInput if results have no place, or that of an input."""
-    if options.draw is not None:
-        names = [path.as_posix() for path in media.images]
-        if names_file(options.draw, KINDS):
-            _require_one_image(options.draw, media)
-        claim(pictures(names, options.draw).values(), elsewhere=True)
-
-
-def _require_one_image(output: Path, media: Media) -> None:
-    require_one(output, len(media.images))
-    if media.videos:
-        raise InvalidInput("frames of a video do not go into one file; give a folder", where=str(output))
-
-
-def _require_readable(views: Sequence[BoardDetection], errors: Sequence[CamcalError]) -> None:
-    """Raise what kept everything from being read, if something did."""
-    if not views:
-        raise errors[0] if len(errors) == 1 else FileError(f"none of {len(errors)} images can be read; {errors[0]}")
+    if options.draw is None:
+        return
+    if names_file(options.draw, KINDS):
+        require_one(options.draw, len(media.images))
+        if media.videos:
+            raise InvalidInput("frames of a video do not go into one file; give a folder", where=str(options.draw))
+    claim(pictures([path.as_posix() for path in media.images], options.draw).values(), elsewhere=True)
 
 
 def _seen(
@@ -334,14 +316,13 @@ def pictures(images: Sequence[str], output: Path) -> dict[str, Path]:
     return outputs
 
 
-def draw(
-    views: Sequence[BoardDetection],
-    outputs: Mapping[str, Path],
-    videos: Sequence[Video],
-    options: DetectOptions,
-    progress: Progress,
+def _draw_views(
+    views: Sequence[BoardDetection], videos: Sequence[Video], options: DetectOptions, progress: Progress
 ) -> tuple[Path, ...]:
-    """Return the pictures that were written, one for each view; raises FileError if one cannot be."""
+    """Return the pictures that were written, one for each view if any are wanted; FileError if one cannot be."""
+    if options.draw is None:
+        return ()
+    outputs = pictures([view.image for view in views], options.draw)
     sheets = _sheets(views, outputs, videos)
     work = partial(_draw, reading=options.reading)
     return tuple(

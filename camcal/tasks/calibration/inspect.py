@@ -11,7 +11,7 @@ from camcal.cameras.model import Camera
 from camcal.cameras.validity import field_of_view
 from camcal.errors import InvalidInput
 from camcal.formats import cameras, documents, emit, native
-from camcal.formats.camera_file import CameraEntry, CameraFile, Transform
+from camcal.formats.camera_file import CameraEntry, CameraFile
 from camcal.formats.provenance import image_counts
 from camcal.parsing import did_you_mean
 from camcal.report.uncertain import held_by_prior_words, length_unit, projection_words, value_and_std
@@ -162,19 +162,10 @@ def file_lines(file: CameraFile, *, verbose: bool = True) -> Iterator[str]:
 
 def transform_lines(file: CameraFile) -> Iterator[str]:
     """Yield how far apart the cameras of a file are, a line for each transform."""
-    yield from (f"{name}: {_transform_words(item)}" for name, item in file.transforms.items())
-
-
-def _images(file: CameraFile) -> list[Any]:
-    """Return the images that the provenance lists, as plain data."""
-    images = file.provenance.get("images")
-    return images if isinstance(images, list) else []
-
-
-def _transform_words(transform: Transform) -> str:
-    distance = float(np.linalg.norm(transform.pose.translation))
-    angle = math.degrees(float(np.linalg.norm(transform.pose.vector())))
-    return f"{distance:.6g} m apart, rotated by {angle:.3f}°"
+    for name, transform in file.transforms.items():
+        distance = float(np.linalg.norm(transform.pose.translation))
+        angle = math.degrees(float(np.linalg.norm(transform.pose.vector())))
+        yield f"{name}: {distance:.6g} m apart, rotated by {angle:.3f}°"
 
 
 def _board_lines(surface: Surface, *, verbose: bool) -> Iterator[str]:
@@ -198,8 +189,8 @@ def _board_lines(surface: Surface, *, verbose: bool) -> Iterator[str]:
 
 def image_rows(file: CameraFile) -> list[list[str]]:
     """Return file, points, RMS and, if it was not used, the reason of every image the provenance lists, as text."""
-    rows = []
-    for image in _images(file):
+    rows, images = [], file.provenance.get("images")
+    for image in images if isinstance(images, list) else []:
         rms = f"{image['rms_px']:.3f}" if "rms_px" in image else ""
         reason = "" if image.get("used", True) else image.get("reason", "not used")
         rows.append([image["file"], str(image.get("points", "")), rms, reason])

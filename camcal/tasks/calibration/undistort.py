@@ -103,7 +103,7 @@ def undistort(options: UndistortOptions, progress: Progress = SILENT) -> Undisto
     outputs, camera_file, mask_file = _places(options, media)
     claim([*outputs.values(), camera_file, *([mask_file] if options.mask else [])])
     if options.scale_intrinsics:
-        source = _rescaled(source, media)
+        source = _rescale(source, media)
     view = make_view(source.camera, options.view, source.circle)
     _warn_of_shrinking(source.camera, view, progress)
     warn_of(view_outside_region(source.verdict, source.camera, view), progress)
@@ -112,7 +112,9 @@ def undistort(options: UndistortOptions, progress: Progress = SILENT) -> Undisto
     maps = align_channels(maps, lenses, view) if lenses else maps
     advice = ": if it was resized, not cropped, give --scale-intrinsics"
     drawing = Drawing({source.name: maps}, options.border, options.quality, advice)
-    sources = {source.name: Sources(outputs, _video_outputs(options, media))}
+    suffix = f".{options.format}" if options.format else _FRAME_SUFFIX
+    videos = {video: options.output / f"{video.stem}{suffix}" for video in media.videos}
+    sources = {source.name: Sources(outputs, videos)}
     outcomes = tuple(outcome for _, outcome in drawing.outcomes(sources, options.jobs, options.batch, progress))
     require_success(outcomes)
     if options.mask:
@@ -146,11 +148,6 @@ def _places(options: UndistortOptions, media: Media) -> tuple[dict[Path, Path], 
     return {media.images[0]: output}, output.with_suffix(f".{CAMERA_FILE}"), output.with_suffix(f".{MASK_FILE}")
 
 
-def _video_outputs(options: UndistortOptions, media: Media) -> dict[Path, Path]:
-    suffix = f".{options.format}" if options.format else _FRAME_SUFFIX
-    return {video: options.output / f"{video.stem}{suffix}" for video in media.videos}
-
-
 def suffix_of(source: Path, kind: str | None) -> str:
     """Return the suffix of the image that is written for a source: that of the format asked for, or its own."""
     if kind is not None:
@@ -159,7 +156,7 @@ def suffix_of(source: Path, kind: str | None) -> str:
     return source.suffix if suffix in KINDS else _OTHERWISE.get(suffix, ".png")
 
 
-def _rescaled(source: SourceCamera, media: Media) -> SourceCamera:
+def _rescale(source: SourceCamera, media: Media) -> SourceCamera:
     """Return the camera, its channels and its image circle for images of the size of the first one that can be read."""
     size, usual = _first_size(media), source.camera.image_size
     if size is None or size == usual:
@@ -285,11 +282,6 @@ class PointsReport:
     lost: int
 
 
-def _points_output(output: Path, points: Path) -> Path:
-    """Return the file that moved points go to: one of the same name in a folder."""
-    return output if output.suffix or files.is_stream(output) else output / points.name
-
-
 @writes
 def undistort_points(options: UndistortOptions, progress: Progress = SILENT) -> PointsReport:
     """Return what was written to options.output: the table with other u and v, empty where a point has no place.
@@ -299,7 +291,9 @@ def undistort_points(options: UndistortOptions, progress: Progress = SILENT) -> 
     if options.points is None:
         raise InvalidInput("no points: give a table with --points")
     source = read_source(options, lambda: options.view.size, progress)
-    output = _points_output(options.output, options.points)
+    output = options.output
+    if not output.suffix and not files.is_stream(output):
+        output /= options.points.name  # in a folder, under the same name
     camera_file = None if options.distort or files.is_stream(output) else output.with_suffix(".camera.yaml")
     claim([output] if camera_file is None else [output, camera_file])
     view = make_view(source.camera, options.view, source.circle)

@@ -200,7 +200,7 @@ def other_board(asked: Board, board: Board, views: Sequence[BoardDetection], mat
     """
     found = [view for view in views if view.found]
     if len(found) < _OFTEN * len(views):
-        other = _searched(asked, material.of({view.image for view in found}) if found else material)
+        other = _search(asked, material.of({view.image for view in found}) if found else material)
         if other is not None and (not found or _holds(other.board, board)):
             return other
     return _with_fewer_rows(asked, board, found, material)
@@ -216,7 +216,7 @@ def _family(board: Board) -> str:
     return (board.dictionary or "").rpartition("_")[0]
 
 
-def _searched(asked: Board, material: Material) -> OtherBoard | None:
+def _search(asked: Board, material: Material) -> OtherBoard | None:
     """Return the board that a few images show, searched for until two of them agree."""
     work = partial(_layout_in, reading=replace(material.reading, colours=False), like=asked)
     tasks = list(material.sample(SAMPLE).sources())

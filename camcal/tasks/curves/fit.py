@@ -117,15 +117,15 @@ def fit(options: FitOptions, progress: Progress = SILENT) -> FitReport:
     `require_settled`.
     """
     table = read_measurements(options.data)
-    measured = Measured(table, _names(options.x), options.y, options.sigma)
+    measured = Measured(table, tuple(_parts(options.x)), options.y, options.sigma)
     fixed, values = fixed_of(options.fix)
     start = starts_of(options.start) | values
     model = model_of(options.model, measured, start)
     other = None if options.compare is None else model_of(options.compare, measured, start)
     _refuse_strangers(options, fixed, start, [model] if other is None else [model, other])
     turns: list[tuple[int, Iteration]] = []
-    found = _fitted(model, options, fixed, turns)
-    second = None if other is None else _fitted(other, options, fixed, [])
+    found = _fit(model, options, fixed, turns)
+    second = None if other is None else _fit(other, options, fixed, [])
     report = FitReport(
         found,
         table.lines,
@@ -140,7 +140,7 @@ def fit(options: FitOptions, progress: Progress = SILENT) -> FitReport:
     return replace(report, figures=_write_figures(report, options))
 
 
-def _fitted(model: Model, options: FitOptions, fixed: frozenset[str], turns: list[tuple[int, Iteration]]) -> CurveFit:
+def _fit(model: Model, options: FitOptions, fixed: frozenset[str], turns: list[tuple[int, Iteration]]) -> CurveFit:
     search = SearchOptions(bounds_of(options.bounds), fixed, options.loss, options.restarts, options.method)
     return fit_curve(model.curve, model.data, model.start, search, lambda run, turn: turns.append((run, turn)))
 
@@ -152,10 +152,6 @@ def _check_derivatives(model: Model) -> JacobianCheck:
     _, slopes = predictions_with_jacobian(curve, data.columns, at, len(data), curve.parameters)
     analytic = all(formula.analytic for formula in curve.formulas)
     return check_jacobian(lambda p: predictions(curve, data.columns, p, len(data)), slopes, at, analytic=analytic)
-
-
-def _names(text: str | None) -> tuple[str, ...]:
-    return () if text is None else tuple(name.strip() for name in text.split(",") if name.strip())
 
 
 def _refuse_strangers(

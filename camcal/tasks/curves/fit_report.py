@@ -39,8 +39,8 @@ def document(report: FitReport) -> dict[str, Any]:
     return {
         **plain(found),
         "profile": None if report.intervals is None else {name: list(ends) for name, ends in report.intervals.items()},
-        "comparison": _compared(report),
-        "jacobian_check": _checked(report),
+        "comparison": _comparison(report),
+        "jacobian_check": _check(report),
         "outliers": [report.lines[int(row)] for row in np.flatnonzero(found.outliers)],
         "largest_leverage": {
             "line": report.lines[int(np.argmax(found.leverage))],
@@ -103,7 +103,7 @@ def _estimate(estimate: Estimate) -> dict[str, Any]:
     }
 
 
-def _compared(report: FitReport) -> dict[str, Any] | None:
+def _comparison(report: FitReport) -> dict[str, Any] | None:
     if report.comparison is None or report.other is None:
         return None
     comparison = report.comparison
@@ -117,7 +117,7 @@ def _compared(report: FitReport) -> dict[str, Any] | None:
     }
 
 
-def _checked(report: FitReport) -> dict[str, Any] | None:
+def _check(report: FitReport) -> dict[str, Any] | None:
     if report.check is None:
         return None
     check = report.check

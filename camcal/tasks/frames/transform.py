@@ -166,13 +166,9 @@ def write(output: Output, transforms: Sequence[NamedTransform]) -> None:
     if not transforms:
         raise InsufficientData("no transforms to write", where=str(path))
     if files.is_stream(path) or path.suffix.lower() in frames.SUFFIXES:
-        frames.write(path, [_with_frames(transform) for transform in transforms], output.numbers)
+        named = [item if item.name else replace(item, target="a", source="b") for item in transforms]
+        frames.write(path, named, output.numbers)
         return
     if len(transforms) != 1:
         raise InvalidInput(f"{len(transforms)} transforms cannot be written as text; use .yaml", where=str(path))
     files.write_text(path, pose_text.text_of(transforms[0], output.numbers or Form("matrix")))
-
-
-def _with_frames(transform: NamedTransform) -> NamedTransform:
-    """Return a transform with frames: a and b where it has none."""
-    return transform if transform.name else replace(transform, target="a", source="b")

@@ -62,14 +62,14 @@ def document(moved: MovedPoints) -> dict[str, Any]:
 
 def _table(options: PointsOptions, transform: NamedTransform, _: Progress) -> MovedPoints:
     found = point_table.read(options.points)
-    moved = _moved(found, transform, _PER_METRE[options.unit])
+    moved = _move(found, transform, _PER_METRE[options.unit])
     point_table.write(options.output, moved)
     return MovedPoints(
         transform, len(moved.points), moved.normals is not None, moved.covariances is not None, options.output
     )
 
 
-def _moved(found: PointTable, transform: NamedTransform, per_metre: float) -> PointTable:
+def _move(found: PointTable, transform: NamedTransform, per_metre: float) -> PointTable:
     """Return points in the other frame; the transform's own uncertainty is in every covariance, alike for all."""
     rotation = transform.pose.rotation
     turned = found.points @ rotation.T
@@ -90,7 +90,7 @@ def _cloud(options: PointsOptions, transform: NamedTransform, progress: Progress
     if transform.covariance is not None:
         text = "covariance of the transform not written: clouds hold none, a CSV does"
         progress.warn(Message("covariance_not_written", text, where=str(options.points)))
-    moved = _moved_cloud(found, transform)
+    moved = _move_cloud(found, transform)
     stream = VertexStream(
         count=len(moved.vertices),
         type=moved.vertices.dtype,
@@ -104,19 +104,19 @@ def _cloud(options: PointsOptions, transform: NamedTransform, progress: Progress
     return MovedPoints(transform, stream.count, NORMAL[0] in (stream.type.names or ()), False, options.output)
 
 
-def _moved_cloud(found: PointCloudFile, transform: NamedTransform) -> PointCloudFile:
+def _move_cloud(found: PointCloudFile, transform: NamedTransform) -> PointCloudFile:
     """Return a cloud in the other frame, its coordinates from an origin of their own where they are large."""
     rotation, vertices = transform.pose.rotation, found.vertices
     origin = np.array([float(number) for number in found.notes.get("origin", "0 0 0").split()])
-    points = (_stacked(vertices, POSITION) + origin) @ rotation.T
+    points = (_stack(vertices, POSITION) + origin) @ rotation.T
     points += _PER_METRE[found.unit] * transform.pose.translation
     columns = {name: vertices[name] for name in vertices.dtype.names or ()}
     columns |= dict(zip(POSITION, points.T, strict=True))
     if NORMAL[0] in columns:
-        columns |= dict(zip(NORMAL, (_stacked(vertices, NORMAL) @ rotation.T).astype(np.float32).T, strict=True))
+        columns |= dict(zip(NORMAL, (_stack(vertices, NORMAL) @ rotation.T).astype(np.float32).T, strict=True))
     notes = {key: words for key, words in found.notes.items() if key != "origin"}
     return cloud_of(columns, unit=found.unit, frame=transform.target, notes=notes)
 
 
-def _stacked(vertices: Array, names: tuple[str, ...]) -> Array:
+def _stack(vertices: Array, names: tuple[str, ...]) -> Array:
     return np.stack([vertices[name].astype(np.float64) for name in names], axis=-1)

@@ -3,7 +3,6 @@
 The mean of several estimates of one transform; how far poses, as they are written, are from being any.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -50,7 +49,10 @@ def average(options: AverageOptions, progress: Progress = SILENT) -> Averaged:
     Raises InvalidInput for transforms of other frames, FileError, InsufficientData for fewer than two, NotConverged.
     """
     estimates = _estimates(options)
-    _require_one_name(estimates)
+    for item in estimates:
+        if item.name != estimates[0].name:
+            text = f"{item.called} and {estimates[0].called} are different transforms: a mean is of one"
+            raise InvalidInput(text, where=item.where)
     covariances = [item.covariance for item in estimates if item.covariance is not None]
     weighted = not options.equal and bool(estimates) and len(covariances) == len(estimates)
     if covariances and not weighted and not options.equal:
@@ -92,14 +94,6 @@ def average_document(averaged: Averaged, output: Output) -> dict[str, Any]:
         ],
         "output": output.path,
     }
-
-
-def _require_one_name(estimates: Sequence[NamedTransform]) -> None:
-    for item in estimates:
-        if item.name != estimates[0].name:
-            raise InvalidInput(
-                f"{item.called} and {estimates[0].called} are different transforms: a mean is of one", where=item.where
-            )
 
 
 def _warn(mean: PoseAverage, progress: Progress) -> None:
@@ -161,11 +155,14 @@ class Checked:
 @writes
 def check(options: CheckOptions, _: Progress = SILENT) -> Checked:
     """Return what was found of poses; raises InvalidInput, FileError for what is not even numbers."""
-    poses = tuple(_checked(written) for written in read_loose(options.sources, form_of(options.form)))
+    poses = []
+    for written in read_loose(options.sources, form_of(options.form)):
+        found = examine(written.pose.matrix)
+        poses.append(CheckedPose(written, found, _verdict(written.pose, found)))
     fixed = tuple(_fixed(pose.written) for pose in poses if pose.verdict in {OK, INEXACT}) if options.fix else ()
     if fixed:
         write(options.output, fixed)
-    return Checked(poses, fixed)
+    return Checked(tuple(poses), fixed)
 
 
 def require_good(checked: Checked, *, fix: bool) -> None:
@@ -194,11 +191,6 @@ def check_document(checked: Checked, output: Output) -> dict[str, Any]:
         "fixed": [plain(transform, output.numbers) for transform in checked.fixed],
         "output": output.path,
     }
-
-
-def _checked(written: LooseTransform) -> CheckedPose:
-    found = examine(written.pose.matrix)
-    return CheckedPose(written, found, _verdict(written.pose, found))
 
 
 def _verdict(pose: LoosePose, found: Orthogonality) -> str:

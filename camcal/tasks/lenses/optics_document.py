@@ -110,15 +110,16 @@ def document(report: OpticsReport) -> dict[str, Any]:
 def _plain(record: object | None, shown: _Shown) -> dict[str, Any] | None:
     if record is None:
         return None
-    return {key: _scaled(getattr(record, name), factor) for name, (key, _, factor, _) in shown.items()}
+    return {key: _scale(getattr(record, name), factor) for name, (key, _, factor, _) in shown.items()}
 
 
-def _scaled(value: float | None, factor: float) -> float | None:
+def _scale(value: float | None, factor: float) -> float | None:
     return None if value is None else value * factor
 
 
 def _setup(setup: Setup) -> dict[str, Any]:
     options = setup.options
+    sources = {_SOURCED[name]: source for name, source in setup.sources.items() if getattr(setup, name) is not None}
     return {
         "camera": options.camera,
         **(_plain(setup, _SETUP) or {}),
@@ -126,15 +127,11 @@ def _setup(setup: Setup) -> dict[str, Any]:
         "wavelength_nm": 1e9 * options.wavelength,
         "sensor_mm": None if setup.sensor is None else [1e3 * side for side in setup.sensor],
         "image_size": setup.size,
-        "sources": {_SOURCED[name]: source for name, source in setup.sources.items() if _is_known(setup, name)},
+        "sources": sources,
     }
 
 
 _SOURCED = {name: key for name, (key, *_) in _SETUP.items()} | {"sensor": "sensor_mm", "size": "image_size"}
-
-
-def _is_known(setup: Setup, name: str) -> bool:
-    return getattr(setup, name) is not None
 
 
 def _solved(setup: Setup) -> dict[str, Any] | None:
@@ -228,7 +225,7 @@ def _figure_rows(records: Sequence[At], shown: _Shown) -> list[list[str]]:
     """Return a row for each figure that is known for any of the records: its words with the unit, the values."""
     rows = []
     for name, (_, words, factor, unit) in shown.items():
-        values: list[float | None] = [_scaled(getattr(record, name), factor) for record in records]
+        values: list[float | None] = [_scale(getattr(record, name), factor) for record in records]
         if name != "distance" and any(value is not None for value in values):
             figure = f"{words}, {unit}" if unit else words
             rows.append([figure, *("-" if value is None else in_words(value) for value in values)])

@@ -87,7 +87,7 @@ def set_up(options: OpticsOptions) -> Setup:
         setup = _with_camera(setup, options.camera)
     setup = _with_sensor(setup)
     if options.solve is not None:
-        setup = _solved(setup)
+        setup = _solve(setup)
     return _with_circle(_with_pinhole(_with_focal(setup)))
 
 
@@ -148,7 +148,7 @@ def _disagreement(sides: tuple[float, float] | None, counted: tuple[float, float
     return [Message("sensor_size_differs", words, where="--sensor")]
 
 
-def _solved(setup: Setup) -> Setup:
+def _solve(setup: Setup) -> Setup:
     """Return the setup with what makes the wanted width fill the image."""
     wanted, width = setup.options.solve, setup.options.width or 0.0
     option, known = _SOLVED[str(wanted)]

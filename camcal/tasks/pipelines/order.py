@@ -52,7 +52,7 @@ class Order:
 def ordered(pipeline: Pipeline) -> Order:
     """Return the steps in their order; raises InvalidInput for files that two steps write, and for a cycle."""
     steps = {step.name: step for step in pipeline.steps}
-    if found := dict.fromkeys(_written_twice(pipeline)):
+    if found := dict.fromkeys(_duplicate_outputs(pipeline)):
         raise pipeline.document.error(found)
     makers = _Makers(pipeline.steps)
     of_family = {name: [step.name for step in members] for name, members in families(pipeline.steps).items()}
@@ -74,7 +74,7 @@ def ordered(pipeline: Pipeline) -> Order:
         depth[name] = 1 + max((depth[other] for other in needs[name]), default=-1)
     names.sort(key=lambda name: (depth[name], place[name]))
     order = Order({name: steps[name] for name in names}, needs)
-    if found := dict.fromkeys(_unordered(pipeline, order, makers)):
+    if found := dict.fromkeys(_open_orders(pipeline, order, makers)):
         raise pipeline.document.error(found)
     return order
 
@@ -125,7 +125,7 @@ def _matches(pattern: Sequence[str], written: Sequence[str]) -> bool:
     return len(written) <= len(pattern)
 
 
-def _written_twice(pipeline: Pipeline) -> Iterator[Fault]:
+def _duplicate_outputs(pipeline: Pipeline) -> Iterator[Fault]:
     known: dict[str, Step] = {}
     for step in pipeline.steps:
         for path, each in step.outputs.items():
@@ -137,7 +137,7 @@ def _written_twice(pipeline: Pipeline) -> Iterator[Fault]:
                 yield pipeline.fault(step, f"{each.key}: {path} {text}")
 
 
-def _unordered(pipeline: Pipeline, order: Order, makers: _Makers) -> Iterator[Fault]:
+def _open_orders(pipeline: Pipeline, order: Order, makers: _Makers) -> Iterator[Fault]:
     """Yield steps that read a folder into which another one writes a folder, where it is open which comes first."""
     for step in order.steps.values():
         for path in step.inputs:

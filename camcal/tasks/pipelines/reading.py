@@ -299,7 +299,8 @@ class _Reader:
         if missing:
             self.note(path, f"{' and '.join(missing)} missing")
         if left:
-            self.note(path, f"{len(left)} too many: {' '.join(left)}; the command takes {_names(options)}")
+            known = " ".join(each.name for each in options) or "no arguments"
+            self.note(path, f"{len(left)} too many: {' '.join(left)}; the command takes {known}")
         return found
 
     def value(self, path: str, each: Declared, given: Any) -> Any:
@@ -333,7 +334,3 @@ class _Reader:
 
 def _takes_list(each: Declared) -> bool:
     return each.several or each.option.values > 1
-
-
-def _names(options: list[Declared]) -> str:
-    return " ".join(each.name for each in options) or "no arguments"

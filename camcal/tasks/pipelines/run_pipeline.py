@@ -88,7 +88,7 @@ def run_pipeline(
         with files.unwatched():
             pipeline = read_pipeline(text, where, dict(each.split("=", 1) for each in options.variables), commands)
             order = ordered(pipeline)
-            chosen = _chosen(order, options)
+            chosen = _choose_steps(order, options)
             if found := dict.fromkeys(missing_inputs(pipeline, order, chosen.keys())):
                 raise pipeline.document.error(found)
             state = State(state_file)
@@ -118,18 +118,18 @@ def _alone(options: PipelineOptions) -> Iterator[None]:
         yield
 
 
-def _chosen(order: Order, options: PipelineOptions) -> dict[str, Step]:
+def _choose_steps(order: Order, options: PipelineOptions) -> dict[str, Step]:
     """Return the steps that --only and --from choose, in their order; raises InvalidInput."""
     if options.only:
-        found = {name for text in options.only for name in _named(order, text, "--only")}
+        found = {name for text in options.only for name in _steps_named(order, text, "--only")}
     elif options.first is not None:
-        found = order.below(_named(order, options.first, "--from"))
+        found = order.below(_steps_named(order, options.first, "--from"))
     else:
         return dict(order.steps)
     return {name: step for name, step in order.steps.items() if name in found}
 
 
-def _named(order: Order, text: str, option: str) -> list[str]:
+def _steps_named(order: Order, text: str, option: str) -> list[str]:
     """Return the steps of a name: of a step of the file, of one with its item, or of a pattern of such names."""
     found = [name for name, step in order.steps.items() if text in (name, step.family)]
     found = found or [name for name in order.steps if fnmatchcase(name.replace("[", "("), text.replace("[", "("))]

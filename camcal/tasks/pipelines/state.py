@@ -136,7 +136,8 @@ class State:
 
     def write(self) -> None:
         """Write the records if they changed, in the order of their names, on one line each."""
-        lines = [f"{json.dumps(name)}: {_text(record)}" for name, record in sorted(self.records.items())]
+        texts = {name: json.dumps(asdict(record), sort_keys=True) for name, record in sorted(self.records.items())}
+        lines = [f"{json.dumps(name)}: {text}" for name, text in texts.items()]
         steps = ",\n".join(lines)
         if (text := f'{{"format": "{FORMAT}", "steps": {{\n{steps}\n}}}}\n') != self._text:
             files.write_text(self.path, text)
@@ -192,10 +193,6 @@ def _path_of(name: str) -> Path:
     from camcal.run import remote
 
     return Path(remote.given(name))
-
-
-def _text(record: StepRecord) -> str:
-    return json.dumps(asdict(record), sort_keys=True)
 
 
 def _different(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:

@@ -84,7 +84,9 @@ def demosaic(options: DemosaicOptions, progress: Progress = SILENT) -> list[Outc
     whatever kept a single frame from being developed.
     """
     sources = find_images(options.inputs, recursive=options.recursive, also=HEADERLESS_SUFFIXES)
-    _require_pattern(sources, options.reading.pattern)
+    bare = [source for source in sources if source.suffix.lower() in BARE_SUFFIXES]
+    if bare and options.reading.pattern is None:
+        raise missing_pattern(bare[0])
     outputs = place(sources, options.output, f".{options.type}", [*KINDS, DNG])
     settings = [_settings_beside(output) for output in outputs.values()]
     claim([*outputs.values(), *settings])
@@ -139,10 +141,10 @@ def _develop_file(
 ) -> DevelopedFrame:
     source, output = item
     with Located(source):
-        return _developed(source, output, options, corrections, each)
+        return _develop(source, output, options, corrections, each)
 
 
-def _developed(
+def _develop(
     source: Path, output: Path, options: DemosaicOptions, corrections: Corrections, each: Each
 ) -> DevelopedFrame:
     frame = read_frame(source, options.reading)
@@ -201,12 +203,6 @@ def _record(frame: Mosaic, developed: DevelopedFrame, options: DemosaicOptions) 
     if options.development.algorithm == HALF:
         record["pixel_of_the_mosaic"] = "(2 x + 0.5, 2 y + 0.5)"
     return record
-
-
-def _require_pattern(sources: Sequence[Path], pattern: str | None) -> None:
-    bare = [source for source in sources if source.suffix.lower() in BARE_SUFFIXES]
-    if bare and pattern is None:
-        raise missing_pattern(bare[0])
 
 
 def _warn_of_a_short_scale(
@@ -296,17 +292,14 @@ def preview_patterns(options: DemosaicOptions) -> list[PatternPreviews]:
             path = _preview(options, source, pattern)
             save(path, _thumbnail(develop(replace(frame, pattern=pattern), look).pixels))
             thumbnails[pattern] = path
-        written.append(PatternPreviews(source, thumbnails, _likely(frame)))
+        main = green_diagonal(frame.values, frame.black).main
+        likely = tuple(pattern for pattern in PATTERNS if main is None or (pattern[0] == "G") == main)
+        written.append(PatternPreviews(source, thumbnails, likely))
     return written
 
 
 def _preview(options: DemosaicOptions, source: Path, pattern: str) -> Path:
     return options.output / f"{source.stem}_{pattern}.png"
-
-
-def _likely(frame: Mosaic) -> tuple[str, ...]:
-    main = green_diagonal(frame.values, frame.black).main
-    return tuple(pattern for pattern in PATTERNS if main is None or (pattern[0] == "G") == main)
 
 
 def _thumbnail(pixels: Array) -> Array:

@@ -98,7 +98,8 @@ def frame_lines(inspection: RawInspection) -> Iterator[str]:
     yield f"{inspection.path}: {width}x{height}, {pattern_words(frame.pattern)}, {frame.values.dtype}"
     if words := _capture_words(frame.capture):
         yield words
-    yield f"black {_black_words(frame)}, white {frame.white:g}"
+    black = " ".join(f"{level:g}" for level in (frame.black.ravel() if np.ptp(frame.black) else [frame.black[0, 0]]))
+    yield f"black {black}, white {frame.white:g}"
     if frame.camera_gains is not None:
         gains = frame.camera_gains / frame.camera_gains.min()
         yield "white balance of the camera " + ", ".join(f"{c} {g:.4g}" for c, g in zip("RGB", gains, strict=True))
@@ -119,10 +120,6 @@ def _capture_words(capture: Capture) -> str:
     words += [] if capture.iso is None else [f"ISO {capture.iso:g}"]
     words += [] if capture.focal_mm is None else [f"{capture.focal_mm:g} mm"]
     return ", ".join(filter(None, words))
-
-
-def _black_words(frame: Mosaic) -> str:
-    return " ".join(f"{level:g}" for level in (frame.black.ravel() if np.ptp(frame.black) else [frame.black[0, 0]]))
 
 
 def channel_rows(inspection: RawInspection) -> list[list[object]]:

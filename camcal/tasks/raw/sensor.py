@@ -1,5 +1,9 @@
-"""`camcal sensor`: characterisation of a sensor from flat and dark frames."""
+"""`camcal sensor`: characterisation of a sensor from flat and dark frames.
 
+Frames are grouped into exposure levels by folder, exposure and brightness.
+"""
+
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import partial
@@ -11,8 +15,9 @@ import numpy as np
 
 from camcal import files
 from camcal.arrays import Array
-from camcal.errors import InvalidInput, Located
+from camcal.errors import InsufficientData, InvalidInput, Located
 from camcal.formats import emit, provenance
+from camcal.images.image import RAW_SUFFIXES
 from camcal.messages import Message
 from camcal.optics.sensor_format import pixel_pitch, sensor_format
 from camcal.options import command_line
@@ -21,21 +26,26 @@ from camcal.raw.emva import Curve, Figure, Figures
 from camcal.raw.frame_facts import Widened, likely_white, low_peak, used_counts, widened
 from camcal.raw.level import Level, measure_level
 from camcal.raw.mosaic import Mosaic
+from camcal.raw.options import HEADERLESS_SUFFIXES
 from camcal.raw.sensor import DECIBELS_A_STOP, FULL_WELL, Characterisation, characterise
 from camcal.report.figures.figure import encoded
 from camcal.report.figures.sensor import characterisation, sensor_plots
 from camcal.report.uncertain import value_and_std
 from camcal.run.fanout import fan_out
 from camcal.run.outputs import writes
+from camcal.run.paths import find_images
 from camcal.tasks.figure_files import figure_data, write_figures
 from camcal.tasks.plot_documents import SENSOR
-from camcal.tasks.raw.frame_sets import FrameSet, find_sets
 from camcal.tasks.raw.options import RawInput, SensorOptions
 from camcal.tasks.raw.raw_corrections import read_frame
 
+_EXPOSURE = re.compile(r"(?:^|[_ -])([0-9]+(?:\.[0-9]+)?) ?(us|ms|s)(?:$|[_ -])", re.IGNORECASE)
+_ISO = re.compile(r"(?:^|[_ -])iso ?([0-9]+)(?:$|[_ -])", re.IGNORECASE)
+_SECONDS = {"us": 1e-6, "ms": 1e-3, "s": 1.0}
+_STEP = 0.03  # of the light: frames that differ by more are of another level
+_SMALLEST_STEP = 0.1  # counts: nearly dark frames differ by chance
 VERSION = 1
 COMMENT = "camcal sensor file. DN: counts, e: electrons. The block `sensor` goes into a camera file as it is."
-
 _WORDS = {
     "gain_dn_per_e": ("gain", 1.0, "DN/e"),
     "read_noise_e": ("read noise", 1.0, "e"),
@@ -50,6 +60,92 @@ _WORDS = {
     "linearity_error": ("linearity error", 100.0, "%"),
     "dark_current_e_s": ("dark current", 1.0, "e/s"),
 }
+
+
+@dataclass(frozen=True)
+class FrameSet:
+    """Frames of one level of light: files; seconds, ISO speed and mean counts as far as they are known."""
+
+    paths: tuple[Path, ...]
+    exposure_s: float | None
+    iso: float | None = None
+    mean: float | None = None
+
+    @property
+    def where(self) -> str:
+        return f"{self.paths[0]} …" if len(self.paths) > 1 else str(self.paths[0])
+
+
+def find_sets(
+    inputs: Sequence[Path | str],
+    exposures: Sequence[float],
+    reading: RawInput,
+    *,
+    black: float | None = None,
+    jobs: int | None,
+    progress: Progress,
+) -> list[FrameSet]:
+    """Return the levels of the frames that files, folders and patterns stand for.
+
+    exposures: seconds, one for all inputs or one for each; they come before what folders (10ms, iso400_0.5s) and files
+    say. black: counts without light, None if these are the dark frames. Frames of another folder or exposure are of
+    another level, and so are flat frames that differ by 3 % in brightness.
+    Raises InsufficientData for a level of a single frame, InvalidInput for another number of exposures.
+    """
+    if len(exposures) not in (0, 1, len(inputs)):
+        raise InvalidInput(f"{len(exposures)} exposures for {len(inputs)} inputs: give one, or one for each")
+    given: list[float | None] = [*exposures] or [None]
+    seconds = given * len(inputs) if len(given) == 1 else given
+    items = [item for one, exposure in zip(inputs, seconds, strict=True) for item in _files_of(one, exposure)]
+    unread = [item for item in items if item.exposure_s is None or item.paths[0].suffix.lower() in RAW_SUFFIXES]
+    if unread:
+        work = partial(_read, reading=reading)
+        items = values_of(fan_out(work, items, jobs=jobs, what="looking at frames", progress=progress))
+    groups: dict[tuple[Path, float | None, float | None], list[FrameSet]] = {}
+    for item in items:
+        groups.setdefault((item.paths[0].parent, item.exposure_s, item.iso), []).append(item)
+    sets = [part for group in groups.values() for part in ([group] if black is None else _by_brightness(group, black))]
+    return [_as_set(part) for part in sets]
+
+
+def _files_of(one: Path | str, exposure_s: float | None) -> list[FrameSet]:
+    """Return the files of an input, each by itself, with what their folders' names tell."""
+    found = []
+    for path in find_images([one], recursive=True, also=HEADERLESS_SUFFIXES):
+        exposure, iso = _EXPOSURE.search(path.parent.name), _ISO.search(path.parent.name)
+        named = float(exposure[1]) * _SECONDS[exposure[2].lower()] if exposure else None
+        found.append(FrameSet((path,), named if exposure_s is None else exposure_s, float(iso[1]) if iso else None))
+    return found
+
+
+def _read(item: FrameSet, reading: RawInput) -> FrameSet:
+    """Return a single file with what it says itself, and its mean."""
+    frame = read_frame(item.paths[0], reading)
+    exposure = frame.capture.exposure_s if item.exposure_s is None else item.exposure_s
+    iso = frame.capture.iso if item.iso is None else item.iso
+    return FrameSet(item.paths, exposure, iso, float(frame.values.mean()))
+
+
+def _by_brightness(group: list[FrameSet], black: float) -> list[list[FrameSet]]:
+    """Return the frames of a group as sets of the same light, darkest first; all in one where they were not read."""
+    means = [item.mean for item in group if item.mean is not None]
+    if len(means) < len(group):
+        return [group]
+    order = np.argsort(means, kind="stable")
+    light = np.array(means)[order] - black
+    steps = np.diff(light) > np.maximum(_STEP * light[:-1], _SMALLEST_STEP)
+    return [[group[place] for place in sorted(part)] for part in np.split(order, np.flatnonzero(steps) + 1)]
+
+
+def _as_set(part: Sequence[FrameSet]) -> FrameSet:
+    first = part[0]
+    if len(part) < 2:
+        told = "" if first.exposure_s is None else f" at {1e3 * first.exposure_s:g} ms"
+        raise InsufficientData(
+            f"single frame{told}: every level needs at least two frames of the same exposure",
+            where=first.where,
+        )
+    return replace(first, paths=tuple(item.paths[0] for item in part))
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,10 +175,18 @@ def sensor(options: SensorOptions, progress: Progress = SILENT) -> SensorReport:
     flats = _sets(options, progress, black=min(known, default=0.0))
     iso, flats, darks = _at_one_speed(flats, darks, options.iso)
     _require_apart(flats, darks)
-    spread = _widened((*flats, *darks), options, progress)
-    found = characterise(*(_levels(sets, spread, options, progress) for sets in (flats, darks)))
+    spread = _widening((*flats, *darks), options, progress)
+    work = partial(_measure, reading=options.reading, white=options.white, spread=spread)
+    found = characterise(
+        *(
+            values_of(fan_out(work, sets, jobs=options.jobs, what="measuring frames", progress=progress))
+            for sets in (flats, darks)
+        )
+    )
     warnings = (*_counts_warnings(found, spread, options), *found.warnings)
-    report = SensorReport(found, tuple(flats), tuple(darks), iso, _pitch(options, found.size), warnings)
+    name = options.sensor_format
+    pitch = options.pitch if name is None else pixel_pitch(sensor_format(name), found.size)
+    report = SensorReport(found, tuple(flats), tuple(darks), iso, pitch, warnings)
     if options.plot is not None:
         files.write_bytes(options.plot, encoded(characterisation(found), options.plot.suffix))
     files.write_text(options.output, emit.document(_file(report, options), COMMENT))
@@ -121,7 +225,7 @@ def _require_apart(flats: Sequence[FrameSet], darks: Sequence[FrameSet]) -> None
         raise InvalidInput("is both a flat and a dark frame", where=str(min(both)))
 
 
-def _widened(sets: Sequence[FrameSet], options: SensorOptions, progress: Progress) -> Widened | None:
+def _widening(sets: Sequence[FrameSet], options: SensorOptions, progress: Progress) -> Widened | None:
     """Return how the counts of the frames became 16 bits, by one frame of each level; None if they did not."""
     work = partial(_used_counts, reading=options.reading)
     paths = [one.paths[0] for one in sets]
@@ -130,13 +234,6 @@ def _widened(sets: Sequence[FrameSet], options: SensorOptions, progress: Progres
 
 def _used_counts(path: Path, reading: RawInput) -> Array:
     return used_counts(read_frame(path, reading))
-
-
-def _levels(
-    sets: Sequence[FrameSet], spread: Widened | None, options: SensorOptions, progress: Progress
-) -> list[Level]:
-    work = partial(_measure, reading=options.reading, white=options.white, spread=spread)
-    return values_of(fan_out(work, sets, jobs=options.jobs, what="measuring frames", progress=progress))
 
 
 def _measure(one: FrameSet, reading: RawInput, white: float | None, spread: Widened | None) -> Level:
@@ -167,11 +264,6 @@ def _counts_warnings(found: Characterisation, spread: Widened | None, options: S
     # Pixels that are full before the counts end need no white level.
     if likely is not None and (found.saturation != FULL_WELL or found.peak == likely):
         yield low_peak(found.peak, found.white, likely)
-
-
-def _pitch(options: SensorOptions, size: tuple[int, int]) -> float | None:
-    name = options.sensor_format
-    return options.pitch if name is None else pixel_pitch(sensor_format(name), size)
 
 
 def sensor_block(report: SensorReport) -> dict[str, Any]:

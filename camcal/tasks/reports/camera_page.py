@@ -5,23 +5,19 @@ from pathlib import Path
 from typing import Any
 
 from camcal import files
-from camcal.calibrate.intrinsics import Calibration
 from camcal.errors import CamcalError
 from camcal.formats import provenance
 from camcal.formats.page_data import CALIBRATE
 from camcal.messages import Message, counted
-from camcal.report.page.calibration import CalibratedCamera, camera_sections, camera_verdict, key_figures
-from camcal.report.page.record import Page
-from camcal.report.page.refused import refused_page
-from camcal.report.page.render import rendered
+from camcal.report.page.calibration import CalibratedCamera, camera_sections, camera_verdict, key_figures, refused_page
+from camcal.report.page.record import Page, rendered
 from camcal.report.page.thumbnails import views_of, worst_first
 from camcal.report.page.verdict import shown_messages
 from camcal.tasks.calibration.board_views import BoardViews
 from camcal.tasks.calibration.calibrate import CalibrateReport
 from camcal.tasks.calibration.options import CalibrateOptions
 from camcal.tasks.reports.carried import blocks, candidates_data, messages_data, run_of
-from camcal.tasks.reports.closing import closing_sections, images_of, made, result_text
-from camcal.tasks.reports.photographs import photographs
+from camcal.tasks.reports.closing import closing_sections, images_of, made, photographs, result_text
 
 CAMERA_NAME = "camera.yaml"  # of the file that a rerun writes
 
@@ -59,9 +55,13 @@ def page_text(report: CalibrateReport, run: Mapping[str, Any], photos: Mapping[s
         *camera_sections(camera, report.assessment.messages),
         *closing_sections(report.file.provenance, run["environment"], report.lines),
     )
+    calibration = report.calibration
+    width, height = calibration.camera.image_size
+    images = counted(len(calibration.views), "image")
+    subtitle = f"{calibration.camera.model.name}, {width} x {height} px, from {images} of a {calibration.board.words}"
     page = Page(
         f"Calibration of {name}",
-        _subtitle(report.calibration),
+        subtitle,
         camera_verdict(camera, report.warnings),
         shown_messages(report.failures, report.warnings),
         figures=tuple(key_figures(camera)),
@@ -70,12 +70,6 @@ def page_text(report: CalibrateReport, run: Mapping[str, Any], photos: Mapping[s
         blocks=blocks(run, report.views.detections),
     )
     return rendered(page)
-
-
-def _subtitle(calibration: Calibration) -> str:
-    width, height = calibration.camera.image_size
-    images = counted(len(calibration.views), "image")
-    return f"{calibration.camera.model.name}, {width} x {height} px, from {images} of a {calibration.board.words}"
 
 
 def write_refusal(

@@ -20,7 +20,7 @@ from camcal.run.paths import split_address
 from camcal.targets.board import Board
 from camcal.targets.detection import Detections
 from camcal.tasks.calibration.corner_refinement import RefinementSummary
-from camcal.tasks.reports.environment import environment
+from camcal.tasks.reports.closing import environment
 
 _GUESS = "guess"
 Candidates = Mapping[tuple[str, ...], Sequence[CandidateModel]]
@@ -89,11 +89,11 @@ def options_of(record: type, settings: Mapping[str, Any]) -> Any:
     for key, given in settings.items():
         if key not in known:
             raise InvalidInput(f"options.{key}: unknown option{did_you_mean(key, list(known))}")
-        values[known[key].path] = known[key].read(_typed(known[key], given))
+        values[known[key].path] = known[key].read(_require_type(known[key], given))
     return assembled(record, values)
 
 
-def _typed(each: Declared, given: Any) -> Any:
+def _require_type(each: Declared, given: Any) -> Any:
     """Return a setting if it is of the type that the option takes; raises InvalidInput."""
     many = each.several or each.option.values > 1
     if each.flag:

@@ -1,15 +1,22 @@
-"""`camcal rerun`: a report is calibrated again from the detections and options that it carries, and compared."""
+"""`camcal rerun`: a report is calibrated again from the detections and options that it carries, and compared.
 
-from collections.abc import Mapping
+Two results agree if their figures differ by less than 1e-6 of their standard deviations.
+"""
+
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from math import hypot, isfinite
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+import numpy as np
+
 from camcal import files
-from camcal.calibrate.rigs.captures import Captures
+from camcal.calibrate.rigs.record import Captures
 from camcal.errors import CamcalError, GateFailed, InsufficientData, InvalidInput, Located, NotConverged
-from camcal.formats import boards, page_data
+from camcal.formats import boards, documents, native, page_data
+from camcal.formats.camera_file import STEP, CameraEntry, CameraFile
 from camcal.formats.page_data import CALIBRATE, PageData
 from camcal.messages import Message
 from camcal.progress import SILENT, Progress
@@ -19,11 +26,9 @@ from camcal.targets.detection import BoardDetection, Detections
 from camcal.tasks.calibration import calibrate as calibration
 from camcal.tasks.calibration.board_views import BoardViews
 from camcal.tasks.calibration.options import CalibrateOptions
-from camcal.tasks.reports import agreement, camera_page, carried, rig_page
-from camcal.tasks.reports.agreement import Difference
+from camcal.tasks.reports import camera_page, carried, rig_page
 from camcal.tasks.reports.camera_page import CAMERA_NAME
-from camcal.tasks.reports.closing import result_text
-from camcal.tasks.reports.environment import differences, environment
+from camcal.tasks.reports.closing import environment, environment_differences, result_text
 from camcal.tasks.reports.options import RerunOptions
 from camcal.tasks.reports.rig_page import RIG_NAME
 from camcal.tasks.rigs import calibrate_rig
@@ -33,6 +38,24 @@ from camcal.tasks.rigs.rig_views import RigViews
 
 REPORT_NAME = "report.html"
 _FILES = (".html", ".yaml", ".yml", ".json")
+EQUAL = 1e-6  # standard deviations
+_FEW = 100.0  # degrees of freedom, where a file does not say them
+
+
+@dataclass(frozen=True)
+class Difference:
+    """A figure that differs: its name, what it was and is, and the difference in standard deviations."""
+
+    name: str
+    before: str
+    after: str
+    sigmas: float = float("inf")
+
+    @property
+    def line(self) -> str:
+        """The difference in words."""
+        how = f" ({self.sigmas:.2g} standard deviations)" if isfinite(self.sigmas) else ""
+        return f"{self.name}: {self.before} in the report, {self.after} now{how}"
 
 
 @dataclass(frozen=True)
@@ -49,7 +72,7 @@ class Rerun:
 
 @dataclass(frozen=True)
 class _Again:
-    """A page made again: its text, the text of the camera file and its name, and why there is none."""
+    """A page made again: its text, the text of the camera file, and why there is none."""
 
     page: str
     result: str = ""
@@ -71,14 +94,16 @@ def rerun(options: RerunOptions, progress: Progress = SILENT) -> Rerun:
     refused = bool(data.run.get("refusal"))
     claim([output] if refused else [output, options.output / name])
     with Located(options.file):
-        before = None if refused else agreement.parsed(data.run["result"], f"{options.file}: result")
-        again = _calibrated(data, options, progress)
+        before = None if refused else parse_camera_file(data.run["result"], f"{options.file}: result")
+        again = _calibrate_again(data, options, progress)
     files.write_text(output, again.page)
     same = files.read_bytes(options.file) == files.utf8(again.page)
-    found = agreement.refusal_difference(data.run.get("refusal", ""), again.refusal)
+    reason = data.run.get("refusal", "")
+    found = [] if reason == again.refusal else [Difference("refusal", reason or "none", again.refusal or "none")]
     if before is not None and again.result:
-        found = agreement.differences(before, agreement.parsed(again.result, name))
-    elsewhere = differences(agreement.recorded_environment(data.run), environment())
+        found = differences(before, parse_camera_file(again.result, name))
+    recorded = {str(name): str(version) for name, version in data.run["environment"].items()}
+    elsewhere = environment_differences(recorded, environment())
     written = (output,) if not again.result else (options.output / name, output)
     return Rerun(same, tuple(elsewhere), tuple(found), written)
 
@@ -87,13 +112,13 @@ def require_agreement(found: Rerun) -> None:
     """Raise GateFailed if figures differ."""
     if found.differences:
         values = {"figures": len(found.differences)}
-        text = f"{len(found.differences)} figures differ by more than {agreement.EQUAL:g} standard deviations"
+        text = f"{len(found.differences)} figures differ by more than {EQUAL:g} standard deviations"
         raise GateFailed.of([Message("rerun_differs", text, values)])
 
 
-def _calibrated(data: PageData, options: RerunOptions, progress: Progress) -> _Again:
+def _calibrate_again(data: PageData, options: RerunOptions, progress: Progress) -> _Again:
     """Return the page made again; the camera or rig file is written to the folder."""
-    again = _camera if data.run["command"] == CALIBRATE else _rig
+    again = _rerun_camera if data.run["command"] == CALIBRATE else _rerun_rig
     with TemporaryDirectory() as guesses:
         try:
             return again(data, options.output, Path(guesses), progress)
@@ -103,7 +128,7 @@ def _calibrated(data: PageData, options: RerunOptions, progress: Progress) -> _A
             raise
 
 
-def _camera(data: PageData, folder: Path, guesses: Path, progress: Progress) -> _Again:
+def _rerun_camera(data: PageData, folder: Path, guesses: Path, progress: Progress) -> _Again:
     run = data.run
     original = carried.options_of(CalibrateOptions, run["options"])
     if original.reading.colours:
@@ -132,7 +157,7 @@ def _camera(data: PageData, folder: Path, guesses: Path, progress: Progress) -> 
     return _Again(camera_page.page_text(found, _now(run, text), data.photos), text)
 
 
-def _rig(data: PageData, folder: Path, guesses: Path, progress: Progress) -> _Again:
+def _rerun_rig(data: PageData, folder: Path, guesses: Path, progress: Progress) -> _Again:
     run = data.run
     original = carried.options_of(RigSettings, run["options"])
     guess = carried.unpacked_guesses(run, original, guesses)
@@ -199,3 +224,73 @@ def document(found: Rerun) -> dict[str, Any]:
         "differences": [{"name": each.name, "before": each.before, "after": each.after} for each in found.differences],
         "outputs": list(found.outputs),
     }
+
+
+def parse_camera_file(text: str, where: str) -> CameraFile:
+    """Return the content of the text of a camera file, without the joint covariance of a rig, which may be elsewhere.
+
+    Raises InvalidInput or FileError as for a file.
+    """
+    document = documents.parse(text, where, native.check)
+    data = {key: value for key, value in document.data.items() if key != "joint_covariance"}
+    return native.from_document(documents.Document(where, data, document.lines), Path())
+
+
+def differences(before: CameraFile, after: CameraFile) -> list[Difference]:
+    """Return the figures that differ by more than EQUAL standard deviations, and what else differs."""
+    return [*_camera_differences(before, after), *_transform_differences(before, after)]
+
+
+def _camera_differences(before: CameraFile, after: CameraFile) -> Iterator[Difference]:
+    if list(before.cameras) != list(after.cameras):
+        yield Difference("cameras", ", ".join(before.cameras), ", ".join(after.cameras))
+        return
+    for name, old in before.cameras.items():
+        yield from _entry_differences(name, old, after.cameras[name])
+
+
+def _entry_differences(name: str, old: CameraEntry, new: CameraEntry) -> Iterator[Difference]:
+    one, other = old.camera, new.camera
+    if one.model.name != other.model.name or one.image_size != other.image_size:
+        yield Difference(f"{name}: lens model", _lens(old), _lens(new))
+        return
+    for parameter in one.model.parameter_names:
+        std = one.std(parameter) or 0.0
+        yield from _figure_difference(f"{name}.{parameter}", one.value(parameter), other.value(parameter), std)
+        yield from _figure_difference(f"{name}.{parameter} std", std, other.std(parameter) or 0.0, std)
+    dof = _FEW if old.noise is None else float(old.noise.degrees_of_freedom or _FEW)
+    for key in dict.fromkeys([*old.quality, *new.quality]):
+        was, now = old.quality.get(key, float("nan")), new.quality.get(key, float("nan"))
+        std = abs(was) / (2 * dof) ** 0.5 if key.endswith("_px") else 0.0
+        yield from _figure_difference(f"{name}.{key}", was, now, std)
+    if _verdict(old) != _verdict(new):
+        yield Difference(f"{name}: verdict", _verdict(old), _verdict(new))
+
+
+def _lens(entry: CameraEntry) -> str:
+    return f"{entry.camera.model.name} {'x'.join(map(str, entry.camera.image_size))}"
+
+
+def _verdict(entry: CameraEntry) -> str:
+    return "unknown" if entry.verdict is None else "trustworthy" if entry.verdict.trustworthy else "not trustworthy"
+
+
+def _transform_differences(before: CameraFile, after: CameraFile) -> Iterator[Difference]:
+    if set(before.transforms) != set(after.transforms):
+        yield Difference("transforms", ", ".join(before.transforms), ", ".join(after.transforms))
+        return
+    for name, old in before.transforms.items():
+        new = after.transforms[name]
+        stds = np.zeros(6) if old.covariance is None else np.sqrt(np.diag(old.covariance))
+        step = (new.pose @ old.pose.inverse()).vector()
+        moved = [*(new.pose.translation - old.pose.translation), *step]
+        for axis, value, std in zip(STEP, moved, stds.tolist(), strict=True):
+            yield from _figure_difference(f"{name}.{axis} change", 0.0, float(value), std)
+
+
+def _figure_difference(name: str, was: float, now: float, std: float) -> Iterator[Difference]:
+    """Yield a figure if it differs: by more than EQUAL of its std, or of its last digits where it has none."""
+    apart = abs(now - was)
+    limit = EQUAL * std if std > 0 else EQUAL * EQUAL * max(abs(was), EQUAL)
+    if not apart <= limit + 1e-11 * hypot(was, now):
+        yield Difference(name, f"{was:.12g}", f"{now:.12g}", apart / std if std > 0 else float("inf"))

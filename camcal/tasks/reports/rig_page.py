@@ -10,16 +10,14 @@ from camcal.errors import CamcalError
 from camcal.formats import provenance
 from camcal.formats.page_data import RIG
 from camcal.messages import Message, counted
-from camcal.report.page.calibration import CalibratedCamera
-from camcal.report.page.record import Page
-from camcal.report.page.refused import refused_page
-from camcal.report.page.render import rendered
+from camcal.report.page.calibration import CalibratedCamera, refused_page
+from camcal.report.page.record import Page, rendered
 from camcal.report.page.rig import CalibratedRig, rig_figures, rig_sections, rig_verdict
 from camcal.report.page.thumbnails import views_of, worst_first
 from camcal.report.page.verdict import shown_messages
+from camcal.targets.detection import Detections
 from camcal.tasks.reports.carried import blocks, candidates_data, messages_data, run_of
-from camcal.tasks.reports.closing import closing_sections, images_of, made, result_text
-from camcal.tasks.reports.photographs import photographs
+from camcal.tasks.reports.closing import closing_sections, images_of, made, photographs, result_text
 from camcal.tasks.rigs.calibrate_rig import RigReport
 from camcal.tasks.rigs.inspect_rig import inspect_rig
 from camcal.tasks.rigs.options import RigSettings
@@ -77,11 +75,10 @@ def captures_data(seen: RigViews) -> dict[str, Any]:
     } | largest
 
 
-def _named(seen: RigViews) -> RigViews:
-    """Return the same views with the names of their cameras."""
-    return seen.with_views(
-        {name: [replace(view, camera=name) for view in seen.of(name)] for name in seen.captures.cameras}
-    )
+def _detections(seen: RigViews) -> Detections:
+    """Return the detections of all views with the names of their cameras."""
+    views = {name: [replace(view, camera=name) for view in seen.of(name)] for name in seen.captures.cameras}
+    return seen.with_views(views).detections()
 
 
 def page_text(report: RigReport, run: Mapping[str, Any], photos: Mapping[str, str]) -> str:
@@ -106,7 +103,7 @@ def page_text(report: RigReport, run: Mapping[str, Any], photos: Mapping[str, st
         figures=tuple(rig_figures(rig)),
         sections=(*rig_sections(rig), *closing),
         made=made(),
-        blocks=blocks(run, _named(report.views).detections()),
+        blocks=blocks(run, _detections(report.views)),
     )
     return rendered(page)
 
@@ -128,7 +125,7 @@ def write_refusal(
     path: Path, seen: RigViews, settings: RigSettings, command: Sequence[str], error: CamcalError
 ) -> None:
     """Write the report on captures that no calibration can be made from; raises FileError."""
-    found = _named(seen).detections()
+    found = _detections(seen)
     run = run_of(RIG, command, settings, seen.board, ()) | {
         "refusal": error.message,
         "captures": captures_data(seen),
@@ -144,7 +141,7 @@ def write_refusal(
 
 def refusal_text(seen: RigViews, error: CamcalError, run: Mapping[str, Any], photos: Mapping[str, str]) -> str:
     """Return the report on captures that no calibration can be made from as HTML."""
-    found = _named(seen).detections()
+    found = _detections(seen)
     failure = next(iter(error.failures), Message(error.kind, error.message))
     images = [{"file": view.image, "camera": view.camera} for view in found.views]
     origin = provenance.build(run["words"], seen.board, images)

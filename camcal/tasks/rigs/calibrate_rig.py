@@ -121,10 +121,10 @@ def calibrated(
     What the settings say of the board is not used. Raises and writes as `rig` does.
     """
     with journal_beside(settings.output, settings.batch):
-        return _calibrated(look(), settings, command, progress)
+        return _calibrate(look(), settings, command, progress)
 
 
-def _calibrated(seen: RigViews, settings: RigSettings, command: Sequence[str], progress: Progress) -> RigReport:
+def _calibrate(seen: RigViews, settings: RigSettings, command: Sequence[str], progress: Progress) -> RigReport:
     require_size(seen.board)
     names = seen.captures.cameras
     given = given_lenses(settings, names, progress)
@@ -142,7 +142,7 @@ def _calibrated(seen: RigViews, settings: RigSettings, command: Sequence[str], p
         models = rig_models(seen.captures, seen.board, settings, given, shape, circles)
         progress.finish()
         how = _solver_options(settings, given, shape, models)
-        calibration = _solved(seen, how, progress, "solving")
+        calibration = _solve(seen, how, progress, "solving")
     except (InsufficientData, NotConverged) as error:
         if settings.report is not None:
             from camcal.tasks.reports.rig_page import write_refusal
@@ -152,7 +152,7 @@ def _calibrated(seen: RigViews, settings: RigSettings, command: Sequence[str], p
     refinement: RefinementSummary | None = None
     found: tuple[Message, ...] = ()
     if refined:
-        seen, calibration, refinement, found = _refined(seen, calibration, how, settings, progress)
+        seen, calibration, refinement, found = _refine(seen, calibration, how, settings, progress)
         if settings.save_detections:
             detections.write(settings.save_detections, seen.detections())
     results = {
@@ -224,7 +224,7 @@ def _solver_options(
     )
 
 
-def _solved(seen: RigViews, how: RigOptions, progress: Progress, what: str) -> RigCalibration:
+def _solve(seen: RigViews, how: RigOptions, progress: Progress, what: str) -> RigCalibration:
     progress.start(what, None)
     try:
         return calibrate_rig(seen.captures, seen.board, how)
@@ -232,7 +232,7 @@ def _solved(seen: RigViews, how: RigOptions, progress: Progress, what: str) -> R
         progress.finish()
 
 
-def _refined(
+def _refine(
     seen: RigViews, calibration: RigCalibration, how: RigOptions, settings: RigSettings, progress: Progress
 ) -> tuple[RigViews, RigCalibration, RefinementSummary | None, tuple[Message, ...]]:
     """Return what a second look at all images shows, the calibration it leads to, what changed, and warnings.
@@ -257,7 +257,7 @@ def _refined(
             views[name], recovered, lost = look.views, recovered + look.recovered, lost + look.lost
     better = seen.with_views(views)
     try:
-        again = _solved(better, how, progress, "solving again")
+        again = _solve(better, how, progress, "solving again")
     except (InvalidInput, InsufficientData, NotConverged) as error:
         text = f"corner refinement with the calibrated lenses skipped, as with --no-refine: {error.message}"
         return seen, calibration, None, (Message("refinement_failed", text),)

@@ -55,15 +55,18 @@ def cameras_of(
     given = [_named(text) for text in texts]
     if not given:
         raise InvalidInput(f"no images given: {SYNTAX}")
-    if any(name for name, _ in given) and not all(name for name, _ in given):
-        raise InvalidInput(f"some inputs name their camera and this one does not: {SYNTAX}", where=_unnamed(given))
-    if len(given) == 1 and not given[0][0]:
-        _refuse_video(given[0][1])
-        return _in_one(given[0][1], recursive, also)
+    unnamed = [path for name, path in given if not name]
+    if unnamed and len(unnamed) < len(given):
+        raise InvalidInput(f"some inputs name their camera and this one does not: {SYNTAX}", where=unnamed[0])
+    if len(unnamed) == 1:
+        [path] = unnamed
+        if Path(path).suffix.lower() in VIDEO_SUFFIXES and Path(path).is_file():
+            raise InvalidInput(f"is the video of one camera: {SYNTAX}", where=path)
+        return _in_one(path, recursive, also)
     lines: tuple[str, ...] = ()
-    if not given[0][0]:
-        names = _names_of([path for _, path in given])
-        given = list(zip(names, (path for _, path in given), strict=True))
+    if unnamed:
+        names = _names_of(unnamed)
+        given = list(zip(names, unnamed, strict=True))
         lines = (f"cameras by the names of their inputs: {', '.join(dict.fromkeys(names))}",)
     paths: dict[str, list[str]] = defaultdict(list)
     for name, path in given:
@@ -90,15 +93,6 @@ def _named(text: str) -> tuple[str, str]:
     if not name or not path:
         raise InvalidInput(f"no {'path' if name else 'name'} in {text!r}: {SYNTAX}")
     return name, path
-
-
-def _refuse_video(path: str) -> None:
-    if Path(path).suffix.lower() in VIDEO_SUFFIXES and Path(path).is_file():
-        raise InvalidInput(f"is the video of one camera: {SYNTAX}", where=path)
-
-
-def _unnamed(given: Iterable[tuple[str, str]]) -> str:
-    return next(path for name, path in given if not name)
 
 
 def _inputs(name: str, texts: Sequence[str], recursive: bool, also: AbstractSet[str]) -> CameraInputs:
@@ -242,17 +236,12 @@ def _camera_name(value: str, values: set[str]) -> str:
     return f"cam{value}" if value.isdigit() else value
 
 
-def tokens(stem: str) -> tuple[str, ...]:
-    """Return the words and numbers that a name is made of."""
-    return tuple(_TOKENS.findall(stem))
-
-
 def varying(stems: Sequence[Sequence[str]]) -> Iterator[list[tuple[int | str, ...]]]:
     """Yield for every camera the parts of its names that are not the same in all names of each camera, numbers as such.
 
     Where all names have equally many parts, a part that varies for one camera is kept for all.
     """
-    parts = [[tokens(stem) for stem in own] for own in stems]
+    parts = [[_TOKENS.findall(stem) for stem in own] for own in stems]
     kept = [_differing(own) for own in parts]
     if len({len(part) for own in parts for part in own}) == 1:
         kept = [sorted(set().union(*kept))] * len(parts)

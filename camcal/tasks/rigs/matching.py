@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from camcal.calibrate.rigs.captures import Captures
+from camcal.calibrate.rigs.record import Captures
 from camcal.errors import InvalidInput
 from camcal.files import natural_key
 from camcal.messages import counted
@@ -71,7 +71,8 @@ def matched(views: Views, match: str = AUTO, tolerance: float | None = None) -> 
             f"the names of the images have too little in common, and their counts differ: {_counts(views)}; rename "
             "them, or use --match index or time"
         )
-    return _by_index(views)
+    keys = {name: range(1, len(own) + 1) for name, own in views.items()}
+    return _collect(views, keys, INDEX, str)
 
 
 def _counts(views: Views) -> str:
@@ -97,7 +98,7 @@ def _by_name(views: Views) -> Matched | None:
             best = count, keys
     if best is None:
         return None
-    return _collected(views, best[1], NAME, _words)
+    return _collect(views, best[1], NAME, _words)
 
 
 def _each(reading: Callable[[Path], str]) -> Callable[[Paths], Keys]:
@@ -119,11 +120,6 @@ def _words(key: Hashable) -> str:
     return "_".join(map(str, key)) if isinstance(key, tuple) else str(key)
 
 
-def _by_index(views: Views) -> Matched:
-    keys = {name: range(1, len(own) + 1) for name, own in views.items()}
-    return _collected(views, keys, INDEX, str)
-
-
 def _by_time(views: Views, tolerance: float | None) -> Matched:
     """Return the captures of images that were taken within the tolerance, each of another camera.
 
@@ -142,7 +138,7 @@ def _by_time(views: Views, tolerance: float | None) -> Matched:
         members.add(name)
         largest = max(largest, time - start)
         keys[name][place] = start
-    found = _collected(views, keys, TIME, lambda key: f"{key:.6f}".rstrip("0").rstrip("."))
+    found = _collect(views, keys, TIME, lambda key: f"{key:.6f}".rstrip("0").rstrip("."))
     if not _shared(found):
         raise InvalidInput(
             f"no two cameras have images within {1e3 * limit:.3g} ms: their clocks differ, or --time-tolerance is too "
@@ -157,7 +153,7 @@ def _usual_tolerance(times: Mapping[str, np.ndarray]) -> float:
     return 0.5 * min(steps, default=0.0)
 
 
-def _collected(views: Views, keys: Keys, by: str, words: Callable[..., str]) -> Matched:
+def _collect(views: Views, keys: Keys, by: str, words: Callable[..., str]) -> Matched:
     """Return the captures of views by their keys, in the natural order of these."""
     cameras = tuple(views)
     rows: dict[Hashable, dict[str, BoardDetection]] = {}

@@ -13,7 +13,7 @@ from camcal.calibrate import intrinsics
 from camcal.calibrate.fit import ShapeOptions
 from camcal.calibrate.initialise import sweep_focal
 from camcal.calibrate.intrinsics import CandidateModel
-from camcal.calibrate.rigs.captures import Captures
+from camcal.calibrate.rigs.record import Captures
 from camcal.cameras.catalogue import DEFAULT_MODEL, WIDE_MODEL, model_named
 from camcal.cameras.model import Camera, CameraModel
 from camcal.cameras.observations import Observations
@@ -306,10 +306,10 @@ def together(candidates: Sequence[Sequence[CandidateModel]]) -> tuple[CandidateM
     """Return the models that were compared for every one of some cameras, with the scores of all their views."""
     by_name = [{own.name: own for own in each} for each in candidates]
     names = [name for name in by_name[0] if all(name in each for each in by_name)]
-    return tuple(_joined([each[name] for each in by_name]) for name in names)
+    return tuple(_join([each[name] for each in by_name]) for name in names)
 
 
-def _joined(candidates: Sequence[CandidateModel]) -> CandidateModel:
+def _join(candidates: Sequence[CandidateModel]) -> CandidateModel:
     """Return a model with its scores of all cameras, without any where it failed for one of them."""
     failed = next((own for own in candidates if own.scores is None), None)
     if failed is not None:

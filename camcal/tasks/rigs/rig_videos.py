@@ -152,19 +152,16 @@ def settled_together(
                 refused[instant] = f"camera {name}: {record.reason}"
             rank = record.choice.rank
             ranks.setdefault(instant, []).append(np.inf if rank is None else rank)
-    order = sorted((instant for instant in ranks if instant not in refused), key=lambda own: _order(ranks[own], own))
+    usable = [instant for instant in ranks if instant not in refused]
+    order = sorted(usable, key=lambda instant: (len(ranks[instant]) < 2, min(ranks[instant]), instant))
     used = {instant for instant in order[: options.most] if np.isfinite(min(ranks[instant]))}
     return {
-        name: tuple(_decided(record, rig.instant_of(name, record.view.image), used, refused) for record in own)
+        name: tuple(_decide(record, rig.instant_of(name, record.view.image), used, refused) for record in own)
         for name, own in records.items()
     }
 
 
-def _order(ranks: Sequence[float], instant: int) -> tuple[bool, float, int]:
-    return len(ranks) < 2, min(ranks), instant
-
-
-def _decided(record: FrameRecord, instant: int, used: set[int], refused: Mapping[int, str]) -> FrameRecord:
+def _decide(record: FrameRecord, instant: int, used: set[int], refused: Mapping[int, str]) -> FrameRecord:
     """Return the record of a frame with whether its instant is used."""
     taken = instant in used and record.view.found
     if taken == record.taken:

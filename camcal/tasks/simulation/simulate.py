@@ -31,9 +31,8 @@ from camcal.run.manifest import MANIFEST
 from camcal.run.outputs import claim, owned, writes
 from camcal.run.paths import split_address
 from camcal.simulate import mosaics
-from camcal.simulate.captures import captures, seen_by
 from camcal.simulate.render import FLAT, Shape, render
-from camcal.simulate.scene import Truth, make_camera, motion, observe, view_name, views
+from camcal.simulate.scene import Truth, captures, make_camera, motion, observe, seen_by, view_name, views
 from camcal.targets.board import Board
 from camcal.targets.detection import Detections
 from camcal.targets.pattern import pattern_of
@@ -98,7 +97,7 @@ def simulate(options: SimulateOptions, progress: Progress = SILENT) -> SimulateR
     if not 1 <= options.views <= MAX_VIEWS:
         raise InvalidInput(f"{options.views} views: use 1 to {MAX_VIEWS}")
     rig = _rig(options, progress)
-    scenes = _single(options, board, progress) if rig is None else _captured(rig, options, board)
+    scenes = _single(options, board, progress) if rig is None else _scenes_of_rig(rig, options, board)
     folder = options.output
     require_own(folder, TRUTH)
     with owned(folder):
@@ -136,7 +135,7 @@ def _single(options: SimulateOptions, board: Board, progress: Progress) -> list[
     return [Scene("", truth, corners, tuple(range(options.views)))]
 
 
-def _captured(file: CameraFile, options: SimulateOptions, board: Board) -> list[Scene]:
+def _scenes_of_rig(file: CameraFile, options: SimulateOptions, board: Board) -> list[Scene]:
     """Return what each camera of a rig photographs: the captures in which it sees the board."""
     rng = np.random.default_rng(options.seed)
     rig, _ = rig_of(file, options.camera or "")

@@ -79,16 +79,12 @@ def make_cloud(item: tuple[Path, CloudOptions], rig: RigPair | None) -> CloudRep
     Raises InvalidInput for a geometry that is incomplete or not rectified, sizes that differ, and for what is asked of
     a point and not known; FileError.
     """
-    heard = Collected()
-    report = _cloud(item[1], rig, heard)
-    return replace(report, warnings=tuple(heard.warnings))
-
-
-def _cloud(options: CloudOptions, rig: RigPair | None, progress: Progress) -> CloudReport:
+    options, heard = item[1], Collected()
     pointclouds.require_suffix(options.output, ascii_text=options.vertices.ascii_text)
     if options.vertices.organised and options.output.suffix.lower() not in GRIDS:
         raise InvalidInput(f"an organised cloud is written as {' or '.join(GRIDS)}", where=str(options.output))
-    return write_points(options, _source(options, rig, progress), progress)
+    report = write_points(options, _source(options, rig, heard), heard)
+    return replace(report, warnings=tuple(heard.warnings))
 
 
 def write_points(options: CloudOptions, source: PointSource, progress: Progress = SILENT) -> CloudReport:
@@ -108,7 +104,10 @@ def _source(options: CloudOptions, rig: RigPair | None, progress: Progress) -> P
     """Return the disparities of a map, or of an unrectified pair that is matched for it."""
     image_path, address = _image_and_camera(options.files)
     if rig is not None and image_path is not None:
-        return _of_pair(options, (options.disparity, image_path), rig, progress)
+        images = read_pair((options.disparity, image_path), rig)
+        matched = match_images(images, options.matching, jobs=options.jobs)
+        warn_of((each.at(images.paths[0]) for each in (*matched.warnings, *matched.failures)), progress)
+        return source_of_match(images, matched, options.points.sigma_disparity)
     found = disparity.read(options.disparity, options.scale)
     if image_path is None and found.sidecar:
         image_path = named_file(found.sidecar.image, options.disparity, progress)
@@ -140,13 +139,6 @@ def _size_of_first(left: Path, right: Path) -> tuple[int, int]:
     first = find_pairs([left], [right])[0][0] if left.is_dir() else left
     height, width = load(first).pixels.shape[:2]
     return width, height
-
-
-def _of_pair(options: CloudOptions, paths: tuple[Path, Path], rig: RigPair, progress: Progress) -> PointSource:
-    images = read_pair(paths, rig)
-    found = match_images(images, options.matching, jobs=options.jobs)
-    warn_of((each.at(images.paths[0]) for each in (*found.warnings, *found.failures)), progress)
-    return source_of_match(images, found, options.points.sigma_disparity)
 
 
 def source_of_match(images: PairImages, found: Matched, sigma: float | None = None) -> PointSource:

@@ -69,7 +69,9 @@ def _outcomes(
     own = options if alone else replace(options, jobs=1)
     work = partial(_make, options=own, rig=rig)
     settings = fingerprint.of_settings(options, without=("disparity",))
-    made: Items[_Item, CloudReport] = Items(settings, partial(_inputs, options=own), _written, CloudReport)
+    made: Items[_Item, CloudReport] = Items(
+        settings, partial(_inputs, options=own), lambda item: [item.output], CloudReport
+    )
     jobs, batch = options.jobs, options.batch
     for outcome in resumable(work, items, made, jobs=jobs, batch=batch, what="cloud", progress=progress, alone=alone):
         if outcome.value is not None:
@@ -88,10 +90,6 @@ def _inputs(item: _Item, options: CloudOptions) -> list[Path | str]:
     beside = (sidecar.image, sidecar.sigma, sidecar.confidence) if sidecar else ()
     known = [disparity_sidecar.path_beside(item.path), *map(Path, _named(item, options)), *filter(None, beside)]
     return [item.path, *(each for each in known if each.is_file()), item.path.name]
-
-
-def _written(item: _Item) -> list[Path]:
-    return [item.output]
 
 
 def _pairs(options: CloudOptions) -> list[_Item]:

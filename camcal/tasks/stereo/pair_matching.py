@@ -14,11 +14,10 @@ from camcal.images.load import load
 from camcal.messages import Message
 from camcal.raw.planes import one_by_one
 from camcal.run.fanout import over_threads
-from camcal.stereo.acceptance import too_few
-from camcal.stereo.disparity import Confidence, Disparity
+from camcal.stereo.disparity import Confidence, Disparity, too_few
 from camcal.stereo.matching.learned import learned_disparity
 from camcal.stereo.matching.match import match_prepared, within
-from camcal.stereo.matching.preparation import Masks, Prepared, prepare
+from camcal.stereo.matching.preparation import Masks, prepare
 from camcal.stereo.options import BEST, MatchOptions
 from camcal.tasks.stereo.rectified_pair import RectifiedPair
 from camcal.tasks.stereo.rig_pair import RigPair
@@ -97,7 +96,7 @@ def match_images(
     if model is not None:
         found = Matched(_by_network(left, right, model), 0.0, pixels, (), ())
     else:
-        found = _matched(left, right, matching, jobs, images)
+        found = _match(left, right, matching, jobs, images)
     disparity = found.disparity
     if valid is not None:
         # that the range ends at what is infinitely far is no fault of the range
@@ -116,7 +115,7 @@ def _transposed(image: Array) -> Array:
     return np.ascontiguousarray(image.swapaxes(0, 1))
 
 
-def _matched(left: Array, right: Array, matching: MatchOptions, jobs: int | None, images: PairImages) -> Matched:
+def _match(left: Array, right: Array, matching: MatchOptions, jobs: int | None, images: PairImages) -> Matched:
     prepared = prepare(
         left,
         right,
@@ -126,7 +125,9 @@ def _matched(left: Array, right: Array, matching: MatchOptions, jobs: int | None
         farthest=images.known.farthest,
     )
     if images.valid is not None and matching.search is None:
-        prepared = _before_the_cameras(prepared, images.known.farthest)
+        # the range ends at what is infinitely far: in images rectified here nothing is behind the cameras
+        first = max(prepared.first, floor(images.known.farthest) - _BEHIND)
+        prepared = replace(prepared, first=first, count=max(prepared.first + prepared.count - first, _BEHIND))
     if jobs != 1 and matching.quality == BEST:
         with over_threads(jobs) as each:
             disparity = match_prepared(prepared, matching, each)
@@ -134,12 +135,6 @@ def _matched(left: Array, right: Array, matching: MatchOptions, jobs: int | None
         disparity = match_prepared(prepared, matching, one_by_one)
     failures = prepared.failures if images.known.geometry else tuple(map(_with_advice, prepared.failures))
     return Matched(disparity, prepared.rows, 0, prepared.warnings, failures)
-
-
-def _before_the_cameras(prepared: Prepared, farthest: float) -> Prepared:
-    """Return the same with a range that ends at what is infinitely far: in images rectified here nothing is behind."""
-    first = max(prepared.first, floor(farthest) - _BEHIND)
-    return replace(prepared, first=first, count=max(prepared.first + prepared.count - first, _BEHIND))
 
 
 def _with_advice(failure: Message) -> Message:

@@ -19,8 +19,8 @@ from camcal.options import command_line
 from camcal.progress import SILENT, Outcome, Progress, reused
 from camcal.run.outputs import claim, writes
 from camcal.run.paths import find_media, paired, refuse_collisions, split_address
-from camcal.stereo.rectify.maps import PairMaps, build_pair_maps
 from camcal.stereo.rectify.options import RectifiedViewOptions
+from camcal.stereo.rectify.plan import PairMaps, build_pair_maps
 from camcal.stereo.rectify.record import Rectification
 from camcal.tasks.calibration.drawing import Drawing, Drawn, Sources, require_success
 from camcal.tasks.calibration.undistort import suffix_of
@@ -103,7 +103,7 @@ def rectify(options: RectifyOptions, progress: Progress = SILENT) -> RectifyRepo
     require_no_image(split_address(options.rig)[0])
     pairs = _pairs(options)
     rig = read_rig(options.rig, options.cameras, lambda: _first_size(pairs), options.second, options.given, progress)
-    found = _planned(options, rig, progress)
+    found = _plan(options, rig, progress)
     outputs = _places(options, pairs, rig.names)
     beside = Beside.of(options, found)
     claim([*(path for each in outputs.values() for path in each.values()), *beside.all])
@@ -119,7 +119,7 @@ def rectify(options: RectifyOptions, progress: Progress = SILENT) -> RectifyRepo
     return RectifyReport(found, outcomes, beside, valid)
 
 
-def _planned(options: RectifyOptions, rig: GivenRig, progress: Progress) -> Rectification:
+def _plan(options: RectifyOptions, rig: GivenRig, progress: Progress) -> Rectification:
     """Return how the pair is rectified, after giving its warnings; of images for ROS in the size of the camera's."""
     view = _view_for_ros(options.view, rig) if options.ros else options.view
     found = rig.rectification(view)

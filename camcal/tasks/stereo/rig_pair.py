@@ -29,11 +29,9 @@ from camcal.progress import SILENT, Progress
 from camcal.run.paths import split_address
 from camcal.stereo.geometry import of_rectification, why_not_rectified
 from camcal.stereo.points.calibration_error import CalibratedPair, calibration_error
-from camcal.stereo.rectify.covariance import rectified_covariance
-from camcal.stereo.rectify.maps import PairMaps, build_pair_maps
 from camcal.stereo.rectify.options import RectifiedViewOptions
-from camcal.stereo.rectify.plan import DEFAULTS, plan_rectification
-from camcal.stereo.rectify.record import Rectification
+from camcal.stereo.rectify.plan import DEFAULTS, PairMaps, build_pair_maps, plan_rectification
+from camcal.stereo.rectify.record import Rectification, rectified_covariance
 from camcal.tasks.given_camera import Size, read_camera_file, view_outside_region
 from camcal.tasks.options import CAMERA_SUFFIXES, GivenCamera
 from camcal.tasks.stereo.rectified_pair import RectifiedPair
@@ -136,7 +134,7 @@ def read_rig(
     if len(file.cameras) < 2:
         raise InvalidInput(_NEEDED, where=str(path))
     names = _names(named) if wanted is None else wanted
-    found = _chosen(file, names, path)
+    found = _choose(file, names, path)
     if found is None:
         one, other = names if len(names) == 2 else tuple(file.cameras)[:2]
         raise InvalidInput(f"no transform joins {one} and {other}: {other}{JOINT}{one} is missing", where=str(path))
@@ -176,7 +174,7 @@ def _unrectified(
     path, named = split_address(address)
     if path.suffix.lower() not in CAMERA_SUFFIXES:
         return None
-    rig = _chosen(read_camera_file(str(path), _AS_FILE, progress, size_of_images), _names(camera or named), path)
+    rig = _choose(read_camera_file(str(path), _AS_FILE, progress, size_of_images), _names(camera or named), path)
     return None if rig is None or rig.why_not_rectified is None else rig
 
 
@@ -184,7 +182,7 @@ def _names(text: str | None) -> tuple[str, ...]:
     return tuple(name for name in (text or "").split(",") if name)
 
 
-def _chosen(file: CameraFile, wanted: tuple[str, ...], path: Path) -> GivenRig | None:
+def _choose(file: CameraFile, wanted: tuple[str, ...], path: Path) -> GivenRig | None:
     """Return two cameras by their names, by that of the first, or the only two; None if no transforms join them."""
     for name in wanted:
         if name not in file.cameras:

@@ -79,8 +79,9 @@ def stereo_check(options: StereoCheckOptions, progress: Progress = SILENT) -> li
         found = fan_out(work, pairs, jobs=jobs, batch=batch, processes=True, what="stereo check", progress=progress)
         outcomes = list(found)
     for outcome in outcomes:
-        if outcome.value is not None:
-            _warn(outcome.value, progress)
+        pair = outcome.value
+        if pair is not None and pair.check.failure is not None:
+            progress.warn(pair.check.failure.at(pair.left))
     return outcomes
 
 
@@ -91,8 +92,8 @@ def overall(outcomes: Sequence[Outcome[Pair, CheckedPair]]) -> Overall | None:
         return None
     residuals = [pair.check.residual for pair in checked]
     features = sum(residual.agreeing for residual in residuals)
-    steps, counts = _counted(np.concatenate([pair.offsets for pair in checked]))
-    sizes, of_sizes = _counted(np.column_stack([np.abs(steps), counts]))
+    steps, counts = _count_values(np.concatenate([pair.offsets for pair in checked]))
+    sizes, of_sizes = _count_values(np.column_stack([np.abs(steps), counts]))
     return Overall(
         len(checked),
         features,
@@ -103,7 +104,7 @@ def overall(outcomes: Sequence[Outcome[Pair, CheckedPair]]) -> Overall | None:
     )
 
 
-def _counted(rows: Array) -> tuple[Array, Array]:
+def _count_values(rows: Array) -> tuple[Array, Array]:
     """Return the different values of rows (N, 2) of values and counts, in order, and how often each occurs."""
     values, members = np.unique(rows[:, 0], return_inverse=True)
     return values, np.bincount(members.ravel(), rows[:, 1])
@@ -198,8 +199,3 @@ def _failure(check: PairCheck, max_rms: float) -> Message | None:
         return check.failure
     text = f"{words.line_of(check)} differences {rms:.2f} px RMS (limit {max_rms:g} px)"
     return Message("row_differences", text, {"rms_px": rms, "limit_px": max_rms})
-
-
-def _warn(pair: CheckedPair, progress: Progress) -> None:
-    if pair.check.failure is not None:
-        progress.warn(pair.check.failure.at(pair.left))

@@ -120,7 +120,8 @@ def stereo_disparity(options: DisparityOptions, progress: Progress = SILENT) -> 
     kept a single pair from being matched.
     """
     pairs = find_pairs(options.left, options.right, options.recursive)
-    outputs = _places(pairs, options)
+    outputs = place([left for left, _ in pairs], options.output, f".{options.type}", maps.SUFFIXES)
+    claim(path for output in outputs.values() for path in MapFiles.beside(output))
     warn_of_file(options.camera_file, progress)
     batch = _Batch(options, outputs, _rig(pairs, options, progress))
     found = []
@@ -135,15 +136,10 @@ def _rig(pairs: Sequence[Pair], options: DisparityOptions, progress: Progress) -
     """Return the cameras that the pairs are to be rectified by, None if they are rectified."""
     if options.geometry.numbers():
         return None
-    rig = unrectified_pair(options.camera_file, options.geometry.camera, partial(_size, pairs[0][0]))
+    rig = unrectified_pair(options.camera_file, options.geometry.camera, lambda: load(pairs[0][0]).size)
     if rig is not None:
         warn_of(rig.rectification.warnings, progress)
     return rig
-
-
-def _size(path: Path) -> tuple[int, int]:
-    height, width = load(path).pixels.shape[:2]
-    return width, height
 
 
 def require_good(outcomes: Sequence[Outcome[Pair, MatchedPair]]) -> None:
@@ -210,12 +206,6 @@ def _inputs(pair: Pair) -> list[Path | str]:
 
 def _written(pair: Pair, outputs: Mapping[Path, Path]) -> MapFiles:
     return MapFiles.beside(outputs[pair[0]])
-
-
-def _places(pairs: Sequence[Pair], options: DisparityOptions) -> Mapping[Path, Path]:
-    outputs = place([left for left, _ in pairs], options.output, f".{options.type}", maps.SUFFIXES)
-    claim(path for output in outputs.values() for path in MapFiles.beside(output))
-    return outputs
 
 
 def _match_files(

@@ -371,10 +371,8 @@ def truth_pairs(given: TruthPair) -> list[TruthPair]:
         file = next(path for name, path in given.files.items() if not folders[name])
         raise InvalidInput("is not a folder: give only files or only folders", where=str(file))
     maps = maps_in(given.disparity)
-    partners = {name: _partners(maps, given.disparity, folder) for name, folder in given.files.items()}
-    return [TruthPair(**{name: found[path] for name, found in partners.items()}) for path in maps]
-
-
-def _partners(maps: Sequence[Path], home: Path, folder: Path) -> Mapping[Path, Path]:
-    """Return the file of a folder that belongs to each map."""
-    return dict(paired(maps, maps_in(folder), (f"maps in {home}", f"files in {folder}")))
+    partners = {
+        name: dict(paired(maps, maps_in(folder), (f"maps in {given.disparity}", f"files in {folder}")))
+        for name, folder in given.files.items()
+    }
+    return [TruthPair(**{name: files[path] for name, files in partners.items()}) for path in maps]

@@ -1,37 +1,149 @@
-"""`camcal stereo run`: (calibrate →) rectify → check → disparity → cloud → view, for all pairs of two cameras."""
+"""`camcal stereo run`: (calibrate →) rectify → check → disparity → cloud → view, for all pairs of two cameras.
+
+Each pair goes from two images to a cloud and a page, with all that is written on the way.
+"""
 
 from collections.abc import Generator, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
-from functools import partial
 from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-from camcal import messages
-from camcal.errors import GateFailed, InvalidInput, ItemsFailed
+from camcal import files, messages
+from camcal.arrays import PixelArray
+from camcal.errors import GateFailed, InsufficientData, InvalidInput, ItemsFailed
 from camcal.formats import native
 from camcal.formats.plausibility import untrustworthy
 from camcal.images import video
 from camcal.images.load import load
+from camcal.images.save import save
 from camcal.messages import Message
 from camcal.options import command_line
-from camcal.progress import SILENT, Outcome, Progress, reused, warn_of
-from camcal.report import stereo_words
+from camcal.progress import SILENT, Collected, Outcome, Progress, reused, warn_of
+from camcal.report import cloud_view, stereo_words
+from camcal.report.cloud_scene import gather
+from camcal.report.cloud_view import Start
+from camcal.report.colour_scale import paint_of
 from camcal.run import fingerprint
 from camcal.run.outputs import claim, writes
 from camcal.run.paths import find_media, find_pairs, place
 from camcal.run.resume import Items, resumable
+from camcal.stereo.pair.pair_check import PairCheck
 from camcal.stereo.rectify.record import Rectification
 from camcal.tasks.rigs.calibrate_rig import RigReport, calibrated
 from camcal.tasks.rigs.rig_views import rig_views
+from camcal.tasks.stereo.cloud import CloudReport, source_of_match, write_points
+from camcal.tasks.stereo.cloud_options import CloudOptions
+from camcal.tasks.stereo.options import DisparityOptions
+from camcal.tasks.stereo.pair_matching import PairImages, match_images, rectified_pair
 from camcal.tasks.stereo.rig_pair import GivenRig, RigPair, read_rig, rectified_file, rig_pair
 from camcal.tasks.stereo.run_options import RunOptions
-from camcal.tasks.stereo.run_pair import Capture, PairRun, RunFiles, RunPair
+from camcal.tasks.stereo.stereo_check import check_images
+from camcal.tasks.stereo.stereo_disparity import Figures, MapFiles, for_png, write_map
+from camcal.tasks.stereo.view import MOST_POINTS, PAGE, cloud_in
 
+_PICTURE, _MAP, _PAGE = ".png", ".tiff", ".html"
 RIG, RECTIFIED = "rig.yaml", "rectified.yaml"
-
 _LARGE = 4_000_000  # pixels; of larger pairs one at a time is matched, for the memory that each takes
+
+
+class Capture(NamedTuple):
+    """Two images that were taken together, as the rig orders its cameras; frames: of videos, else None for both."""
+
+    left: Path
+    right: Path
+    name: str
+    frames: tuple[PixelArray, PixelArray] | None = None
+
+
+class RunFiles(NamedTuple):
+    """What is written of a pair."""
+
+    left: Path
+    right: Path
+    map: Path
+    cloud: Path
+    page: Path
+
+    @classmethod
+    def of(cls, folder: Path, name: str, cloud_type: str) -> "RunFiles":
+        """Return the files of a pair in the folder of a run."""
+        left, right = (folder / "rectified" / side / f"{name}{_PICTURE}" for side in ("left", "right"))
+        cloud = folder / "clouds" / f"{name}.{cloud_type}"
+        return cls(left, right, folder / "disparity" / f"{name}{_MAP}", cloud, folder / "views" / f"{name}{_PAGE}")
+
+    def every(self) -> Iterator[Path]:
+        """Yield all of them, those beside the map among them."""
+        yield from (self.left, self.right, self.cloud, self.page)
+        yield from MapFiles.beside(self.map)
+
+
+@dataclass(frozen=True, eq=False)
+class RunPair:
+    """What became of a pair: its check (None if too little of it can be matched), its map, its cloud, and its page.
+
+    page: None for an empty cloud. warnings: what is weak; failures: why the pair or its map cannot be used.
+    """
+
+    capture: Capture
+    files: RunFiles
+    check: PairCheck | None
+    figures: Figures
+    cloud: CloudReport
+    page: Path | None
+    warnings: tuple[Message, ...]
+    failures: tuple[Message, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class PairRun:
+    """How pairs are run: their rectification, made once for all of them, and the options.
+
+    jobs: threads for one pair.
+    """
+
+    rig: RigPair
+    options: RunOptions
+    jobs: int | None = 1
+
+    def __call__(self, capture: Capture) -> RunPair:
+        """Return what became of a pair; raises InvalidInput and FileError."""
+        options, places = self.options, RunFiles.of(self.options.output, capture.name, self.options.clouds)
+        images = self._rectified(capture)
+        save(places.left, for_png(images.left))
+        save(places.right, for_png(images.right))
+        images = replace(images, image=places.left)
+        check, doubts = _check(images)
+        found = match_images(images, options.matching, jobs=self.jobs)
+        own = DisparityOptions((), (), places.map, matching=options.matching)
+        matched = write_map(images, found, MapFiles.beside(places.map), own, None)
+        heard = Collected()
+        how = CloudOptions(places.map, places.cloud, points=options.points, vertices=options.vertices, jobs=self.jobs)
+        cloud = write_points(how, source_of_match(images, found), heard)
+        page = None
+        if cloud.points:
+            page, scene = places.page, gather(cloud_in(places.cloud), MOST_POINTS[PAGE])
+            files.write_text(page, cloud_view.page(scene, capture.name, Start(paint_of(scene, None).name)))
+        warnings = (*doubts, *matched.warnings, *heard.warnings)
+        named = capture._replace(frames=None)  # frames would be kept for as long as the report is
+        figures = None if check is None else check.figures()
+        return RunPair(named, places, figures, matched.figures, cloud, page, warnings, matched.failures)
+
+    def _rectified(self, capture: Capture) -> PairImages:
+        sources = (capture.left, capture.right)
+        pixels = capture.frames or (load(capture.left).pixels, load(capture.right).pixels)
+        if self.rig.rectification.swapped:
+            sources, pixels = sources[::-1], pixels[::-1]
+        return rectified_pair(sources, pixels[0], pixels[1], self.rig)
+
+
+def _check(images: PairImages) -> tuple[PairCheck | None, tuple[Message, ...]]:
+    """Return the check of rectified images, or why there is none; what is wrong with the pair the matching says too."""
+    try:
+        return check_images(images), ()
+    except (InsufficientData, InvalidInput) as error:
+        return None, (Message("rows_not_checked", f"row offsets not checked: {error.message}"),)
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +183,7 @@ def stereo_run(options: RunOptions, progress: Progress = SILENT) -> RunReport:
     rectified = folder / RECTIFIED
     outputs = [path for name in scene.names for path in RunFiles.of(folder, name, options.clouds).every()]
     claim([*outputs, rectified, *([] if options.rig else [folder / RIG])])
-    calibration = None if options.rig else _calibrated(options, folder / RIG, progress)
+    calibration = None if options.rig else _calibrate(options, folder / RIG, progress)
     address = options.rig or str(folder / RIG)
     # what is said of a file made here, its calibration has said already
     rig = read_rig(address, options.cameras, scene.size, progress=SILENT if calibration else progress)
@@ -112,7 +224,7 @@ def require_good(report: RunReport, options: RunOptions) -> None:
         raise ItemsFailed.of(len(failed), len(report.outcomes), "pairs")
 
 
-def _calibrated(options: RunOptions, path: Path, progress: Progress) -> RigReport:
+def _calibrate(options: RunOptions, path: Path, progress: Progress) -> RigReport:
     settings = replace(
         options.settings, output=path, recursive=options.recursive, jobs=options.jobs, batch=options.batch
     )
@@ -130,8 +242,11 @@ def _outcomes(
     run = PairRun(rig, options, options.jobs if alone else 1)
     settings = fingerprint.of_settings(options, without=("inputs", "scene", "every", "recursive"))
     facts = [settings, fingerprint.of_file(rig_file), scene.size()]
-    written = partial(_written, options=options)
-    pairs: Items[Capture, RunPair] = Items(fingerprint.of_data(facts), _inputs, written, RunPair, _named)
+
+    def outputs(capture: Capture) -> list[Path]:
+        return list(RunFiles.of(options.output, capture.name, options.clouds).every())
+
+    pairs: Items[Capture, RunPair] = Items(fingerprint.of_data(facts), _inputs, outputs, RunPair, _named)
     with closing(scene.captures()) as frames:
         yield from resumable(
             run,
@@ -155,10 +270,6 @@ def _inputs(capture: Capture) -> list[Path | str]:
 
 def _named(capture: Capture) -> tuple[Path, Path]:
     return capture.left, capture.right
-
-
-def _written(capture: Capture, options: RunOptions) -> list[Path]:
-    return list(RunFiles.of(options.output, capture.name, options.clouds).every())
 
 
 @dataclass(frozen=True, eq=False)

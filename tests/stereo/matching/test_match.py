@@ -15,7 +15,6 @@ from camcal.errors import InvalidInput
 from camcal.run.fanout import over_threads
 from camcal.simulate.stereo_scene import PairOptions, render_pair
 from camcal.stereo.disparity import Confidence
-from camcal.stereo.matching import pyramid
 from camcal.stereo.matching.match import match
 from camcal.stereo.matching.preparation import prepare
 from camcal.stereo.matching.uncertainty import UNMODELLED
@@ -350,7 +349,7 @@ def test_sigma_holds_two_thirds_of_the_errors_of_drawn_scenes(scenes, quality):
 
 @pytest.mark.parametrize("quality", [BALANCED, BEST])
 def test_sigma_holds_two_thirds_of_the_errors_of_pairs_matched_from_coarse_to_fine(scenes, monkeypatch, quality):
-    monkeypatch.setattr(pyramid, "LARGEST", 13_000)
+    monkeypatch.setattr("camcal.stereo.matching.match.LARGEST", 13_000)
     maps = [match(scene.left, scene.right, MatchOptions(quality, fill=ALL)) for scene in scenes]
     shares = [
         np.mean(np.abs(found.values - scene.disparity_left) <= found.sigma)

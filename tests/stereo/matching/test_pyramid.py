@@ -5,8 +5,7 @@ import pytest
 from layered import layered_pair
 
 from camcal.stereo.disparity import Confidence
-from camcal.stereo.matching import pyramid
-from camcal.stereo.matching.match import match
+from camcal.stereo.matching.match import _halve_pair, match
 from camcal.stereo.matching.preparation import gray_pair, noise_of
 from camcal.stereo.matching.semi_global import aggregate
 from camcal.stereo.options import ALL, BALANCED, BEST, FILLS, MatchOptions
@@ -22,7 +21,7 @@ def bad2(found):
 def test_a_pair_is_matched_nearly_as_well_by_way_of_its_half_and_quarter_size(monkeypatch, quality):
     options = MatchOptions(quality, fill=ALL)
     direct = match(LEFT, RIGHT, options)
-    monkeypatch.setattr(pyramid, "LARGEST", 13_000)
+    monkeypatch.setattr("camcal.stereo.matching.match.LARGEST", 13_000)
     stepwise = match(LEFT, RIGHT, options)
     assert bad2(stepwise) < bad2(direct) + 0.02  # edges are found to the pixel of a quarter of the size, or so
     known = VISIBLE & (stepwise.confidence > Confidence.FILLED)
@@ -38,13 +37,13 @@ def test_no_more_costs_are_held_than_there_is_room_for(monkeypatch):
         return aggregate(costs, guide)
 
     monkeypatch.setattr("camcal.stereo.matching.matchers.aggregate", recorded)
-    monkeypatch.setattr(pyramid, "_MOST_COSTS", 1_000_000)
+    monkeypatch.setattr("camcal.stereo.matching.match._MOST_COSTS", 1_000_000)
     match(LEFT, RIGHT, MatchOptions(BALANCED, (0, 63)))
     assert max(volumes) <= 1_000_000
 
 
 def test_what_nothing_is_known_of_at_half_the_size_stays_unknown(monkeypatch):
-    monkeypatch.setattr(pyramid, "LARGEST", 2_000)
+    monkeypatch.setattr("camcal.stereo.matching.match.LARGEST", 2_000)
     left, right = LEFT[:60, :81], RIGHT[:60, :81]
     for quality in (BALANCED, BEST):
         for fill in FILLS:
@@ -54,7 +53,7 @@ def test_what_nothing_is_known_of_at_half_the_size_stays_unknown(monkeypatch):
 @pytest.mark.parametrize("size", [(1, 240), (320, 1), (75, 41), (101, 75)])
 @pytest.mark.parametrize("quality", [BALANCED, BEST])
 def test_images_of_any_size_have_a_half(monkeypatch, size, quality):
-    monkeypatch.setattr(pyramid, "LARGEST", 200)
+    monkeypatch.setattr("camcal.stereo.matching.match.LARGEST", 200)
     image = LEFT[: size[1], : size[0]]
     found = match(image, image, MatchOptions(quality, (-5, 6), ALL))
     assert found.values.shape == image.shape
@@ -64,5 +63,5 @@ def test_images_of_any_size_have_a_half(monkeypatch, size, quality):
 def test_the_noise_of_a_pair_at_half_its_size_is_what_is_measured_there():
     rng = np.random.default_rng(3)
     images = [np.clip(128 + 3.5 * rng.normal(size=(200, 300)), 0, 255).astype(np.uint8) for _ in range(2)]
-    half = pyramid._halved(gray_pair(*images))
+    half = _halve_pair(gray_pair(*images))
     assert half.noise == pytest.approx(noise_of(half.left), rel=0.2)  # medians of whole gray levels

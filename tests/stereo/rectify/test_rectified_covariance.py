@@ -4,8 +4,8 @@ import numpy as np
 from rigs import NARROW, PLAIN, placed
 
 from camcal.cameras.model import Camera
-from camcal.stereo.rectify.covariance import rectified_covariance
 from camcal.stereo.rectify.plan import plan_rectification
+from camcal.stereo.rectify.record import rectified_covariance
 
 
 def planned(left, right, pose):
