@@ -24,8 +24,7 @@ from camcal.cameras.model import Camera
 from camcal.errors import InsufficientData
 from camcal.estimate.pnp import estimate_poses
 from camcal.estimate.poses.records import Correspondences, PoseEstimate, PoseOptions
-from camcal.estimate.tracking.track import Track, TrackOptions, track_poses
-from camcal.estimate.tracking.view_track import track_views
+from camcal.estimate.tracking.track import Track, TrackOptions, track_poses, track_views
 from camcal.geometry import rotation as so3
 
 CAMERA = Camera(model_named("pinhole"), SIZE, np.array([FOCAL, FOCAL, *CENTRE]))

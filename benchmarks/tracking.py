@@ -26,8 +26,9 @@ from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.estimate.pnp import estimate_poses
 from camcal.estimate.poses.records import Correspondences, PoseEstimate, PoseOptions
-from camcal.estimate.tracking import pose_filter
-from camcal.estimate.tracking.segments import PoseMeasurements, candidates_at
+from camcal.estimate.tracking.free_motion import FreeMotion, MotionState, steps_from
+from camcal.estimate.tracking.measurements import PoseMeasurements
+from camcal.estimate.tracking.process_noise import ProcessNoise
 from camcal.estimate.tracking.track import Track, TrackOptions, track_poses
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose, Trajectory
@@ -110,17 +111,26 @@ def averaged(estimates: Sequence[PoseEstimate | None]) -> Places:
     return rotations, translations
 
 
-def ungated(estimates: Sequence[PoseEstimate | None], densities: Array) -> Places:
+def ungated(estimates: Sequence[PoseEstimate | None], noise: ProcessNoise) -> Places:
     """Return the poses of a filter that takes the best candidate of every frame, whatever it is."""
     seen = PoseMeasurements.of(STAMPS, estimates)
+    motion = FreeMotion((noise.translation, noise.rotation), noise.fading)
     first = int(np.argmax(seen.present))
-    belief = pose_filter.start(*(part[0] for part in candidates_at(seen, first)[:3]))
+    state = MotionState(seen.rotations[first, 0], seen.translations[first, 0], np.zeros((motion.order, 6)))
+    spread = np.diag(motion.unknown(float(np.linalg.norm(state.translations))))
+    spread[:6, :6] = seen.covariances[first, 0]
     rotations, translations = np.full((len(seen), 3, 3), np.nan), np.full((len(seen), 3), np.nan)
     for index in range(first + 1, len(seen)):
-        belief, _ = pose_filter.predict(belief, densities, np.array(STAMPS[index] - STAMPS[index - 1]))
-        best = pose_filter.Candidates(*(part[:1] for part in candidates_at(seen, index)))
-        belief, _ = pose_filter.update(belief, best, np.inf)
-        rotations[index], translations[index] = belief.rotations, belief.translations
+        dt = np.array(STAMPS[index] - STAMPS[index - 1])
+        state, growth = motion.forecast(state, dt)
+        spread = growth @ spread @ growth.T + motion.covariance(dt)
+        if seen.present[index]:
+            step, _ = steps_from(
+                seen.rotations[index, 0], seen.translations[index, 0], state.rotations, state.translations
+            )
+            gain = spread[:, :6] @ np.linalg.inv(spread[:6, :6] + seen.covariances[index, 0])
+            state, spread = state.moved(gain @ step), spread - gain @ spread[:6]
+        rotations[index], translations[index] = state.rotations, state.translations
     return rotations, translations
 
 
@@ -156,7 +166,7 @@ def run_scene(scene: Scene, runs: int) -> list[str]:
         found = (
             single(estimates),
             averaged(estimates),
-            ungated(estimates, smooth.noise.densities),
+            ungated(estimates, smooth.noise),
             (causal.rotations, causal.translations),
             (smooth.rotations, smooth.translations),
         )

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.estimate.smoothing.kalman import CORRELATED, Consistency
+from camcal.estimate.smoothing.kalman import CORRELATED, UNDERCONFIDENT, Consistency
 from camcal.estimate.tracking.jitter import Jitter
 from camcal.estimate.tracking.track import MEASURED, REJECTED, Track
 from camcal.formats.trajectories.tracked import TrackedObject
@@ -61,8 +61,8 @@ def consistency_details(judged: Consistency) -> str:
     return f"innovations: {beyond}, {lag}"
 
 
-def warnings(item: TrackedObject) -> Iterator[Message]:
-    """Yield what is weak about a track."""
+def warnings(item: TrackedObject, *, of_poses: bool = False) -> Iterator[Message]:
+    """Yield what is weak about a track; of_poses: whether it is of a pose file."""
     if (row := _longest_refusal(item.track)) is not None:
         start = float(item.track.stamps[row[0]])
         text = (
@@ -75,6 +75,8 @@ def warnings(item: TrackedObject) -> Iterator[Message]:
         text = judged.warning.text
         for smoothing, tracking in _REMEDIES.items():
             text = text.replace(smoothing, tracking)
+        if judged.verdict == UNDERCONFIDENT and of_poses:
+            text = "innovations smaller than their covariances: track the images, not their poses"
         yield replace(judged.warning, text=text)
 
 

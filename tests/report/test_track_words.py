@@ -41,3 +41,11 @@ def test_single_outliers_are_not(seen):
     assert "rejected 2 (3.3 %)" in text
     assert found == {}
     assert "consistent: mean NIS" in text
+
+
+def test_poses_with_covariances_wider_than_their_errors_lead_to_the_images(seen):
+    truth, _, _ = seen
+    poses = glances(truth, np.random.default_rng(2), scale=0.5)
+    item = TrackedObject(track_poses(truth.stamps, poses, TrackOptions(ProcessNoise(0.02, 0.5))), poses)
+    (found,) = warnings(item, of_poses=True)
+    assert found.text.endswith("track the images, not their poses")

@@ -25,7 +25,7 @@ _MAX_CHI2_INCREASE = 40.0  # of χ² by which a mirrored run may be worse before
 _AROUND = 20  # frames on either side that are solved with it
 _UNSEEN = 3  # frames in a row that are a cut
 _ROUNDS = 6
-_ITERATIONS = 12
+_ITERATIONS = 30
 _MOST = 40  # runs that are solved in one round
 _PER_FRAME = 0.2  # of χ²: shorter runs are cheaper and come first
 _LARGEST = 8.0  # times the frames of the track that they may have together
@@ -58,9 +58,31 @@ class Searched:
         return weights / (1 + weights)
 
 
-def searched(found: NoiseFit) -> Searched:
-    """Return the track with the stretches turned over that are better so."""
-    flat = ObjectPlane.of(found.track.chains.frames)
+def searched(found: NoiseFit, other: NoiseFit | None, flat: ObjectPlane | None) -> Searched:
+    """Return the track with the stretches turned over that are better so.
+
+    other: a track of the same frames from another start, None if there is none. flat: the object's plane, if it has
+    one.
+    """
+    if other is None:
+        return _turned_where_better(found, flat)
+    if other.evidence < found.evidence:
+        found, other = other, found
+    result = _turned_where_better(found, flat)
+    frames = np.flatnonzero(so3.angle_between(result.found.track.states.rotations, other.track.states.rotations) > FAR)
+    rivals = _rival(result.found, frames, other.evidence - result.found.evidence)
+    return replace(result, alternatives=(*result.alternatives, *rivals))
+
+
+def _rival(found: NoiseFit, frames: Array, difference: float) -> tuple[AlternativeTrack, ...]:
+    """Return the course of another pose at some frames, of -2 ln evidence larger by a difference, if it is a rival."""
+    difference = max(difference, 0.0) / found.track.chains.frames.overstated
+    if difference > _MAX_ALTERNATIVE or not len(frames):
+        return ()
+    return (AlternativeTrack(frames, float(np.exp(-difference / 2))),)
+
+
+def _turned_where_better(found: NoiseFit, flat: ObjectPlane | None) -> Searched:
     turned = np.zeros(len(found.track.chains.used), dtype=bool)
     if flat is None:
         return Searched(found, (), turned)
@@ -127,8 +149,8 @@ class _Trials:
         for index in map(int, np.argsort(self.differences)):
             frames = self.apart(index)
             known = any(len(np.setxor1d(frames, one.frames)) <= 0.1 * len(frames) for one in result)
-            if self.differences[index] < _MAX_ALTERNATIVE and len(frames) and not known:
-                result.append(AlternativeTrack(frames, float(np.exp(-max(self.differences[index], 0.0) / 2))))
+            if not known:
+                result.extend(_rival(self.found, frames, float(self.differences[index])))
         return tuple(result)
 
 

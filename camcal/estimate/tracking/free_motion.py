@@ -16,15 +16,14 @@ from typing import NamedTuple
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.estimate.tracking.pixel_costs import PixelFrames, linearised
-from camcal.estimate.tracking.pose_filter import rotation_vectors
+from camcal.estimate.tracking.pixel_costs import FrameCosts, PixelFrames
 from camcal.geometry import rotation as so3
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
 _SPEED = 2.0  # 1/s, of the distance: standard deviation of an unknown velocity
 _TURN = 2 * np.pi  # rad/s, the same of an unknown rate
 _PLACE, _ANGLE = 0.5, 2.0  # of the distance, and rad: of an unknown pose
-POSE = slice(0, 6)
+POSE, VELOCITY = slice(0, 6), slice(6, 12)
 _PER_AXIS = np.repeat([0, 1], 3)
 
 # descents
@@ -35,6 +34,7 @@ _SAME = 1.0  # squared Mahalanobis distance of ends that are one
 _SAME_TURN = 0.2  # rad, no more than which they are apart
 _SMALL = 1e-6  # rad², below which the series is used
 _IDENTITY = np.eye(6)
+_NEAR_HALF_TURN = -0.9  # cosine of an angle; there the sine says little
 
 
 class MotionState(NamedTuple):
@@ -154,7 +154,7 @@ class FreeMotion:
 
 def difference(after: MotionState, before: MotionState) -> Array:
     """Return the steps (..., S) that lead from states to others."""
-    turn = so3.log(after.rotations @ before.rotations.swapaxes(-1, -2))
+    turn = rotation_vectors(after.rotations @ before.rotations.swapaxes(-1, -2))
     rates = (after.rates - before.rates).reshape(*after.rates.shape[:-2], -1)
     return np.concatenate([after.translations - before.translations, turn, rates], axis=-1)
 
@@ -214,7 +214,7 @@ class DescentResults(NamedTuple):
     slopes: Array
 
 
-def descended(frame: PixelFrames, middles: MotionState, covariances: Array, starts: MotionState) -> DescentResults:
+def descended(frame: FrameCosts, middles: MotionState, covariances: Array, starts: MotionState) -> DescentResults:
     """Return the distinct ends of descents on a frame's pixels and on what was expected of its pose.
 
     middles, covariances: (K, 6, 6) of what K hypotheses expect. starts: (K C), those of each hypothesis together.
@@ -226,8 +226,8 @@ def descended(frame: PixelFrames, middles: MotionState, covariances: Array, star
     rotations, translations = starts.rotations.copy(), starts.translations.copy()
     damping = np.full(len(parents), 1e-3)
     for temper in _TEMPERATURES:
-        _, gradient, curvature = linearised(frame, rotations, translations, temper)
-        step, slope = _pulled(rotations, translations, middle)
+        _, gradient, curvature = frame.linearised(rotations, translations, temper)
+        step, slope = steps_from(rotations, translations, middle.rotations, middle.translations)
         change, _ = _solved(gradient, curvature, prior, step, slope, damping)
         rotations, translations = so3.exp(change[:, 3:]) @ rotations, translations + change[:, :3]
     now = _measured(frame, rotations, translations, prior, middle)
@@ -260,27 +260,42 @@ def descended(frame: PixelFrames, middles: MotionState, covariances: Array, star
 
 
 def _measured(
-    frame: PixelFrames, rotations: Array, translations: Array, prior: Array, middle: MotionState
+    frame: FrameCosts, rotations: Array, translations: Array, prior: Array, middle: MotionState
 ) -> tuple[Array, ...]:
     """Return poses with their cost, gradient and curvature on the pixels, step from the forecast and its slope."""
-    cost, gradient, curvature = linearised(frame, rotations, translations)
-    step, slope = _pulled(rotations, translations, middle)
+    cost, gradient, curvature = frame.linearised(rotations, translations)
+    step, slope = steps_from(rotations, translations, middle.rotations, middle.translations)
     total = cost + (step * (prior @ step[..., None])[..., 0]).sum(axis=-1)
     return rotations, translations, total, gradient, curvature, step, slope
 
 
-def _pulled(rotations: Array, translations: Array, middle: MotionState) -> tuple[Array, Array]:
-    """Return the steps (E, 6) from forecasts to poses and how they change (E, 6, 6) with a step of the pose."""
-    turn = rotation_vectors(rotations @ middle.rotations.swapaxes(-1, -2))
+def steps_from(
+    rotations: Array, translations: Array, middle_rotations: Array, middle_translations: Array
+) -> tuple[Array, Array]:
+    """Return the steps (..., 6) from middles to poses and how they change (..., 6, 6) with a step of the pose."""
+    turn = rotation_vectors(rotations @ middle_rotations.swapaxes(-1, -2))
     square = (turn**2).sum(axis=-1)
     half = np.sqrt(np.maximum(square, _SMALL)) / 2
     factor = np.where(square < _SMALL, 1 / 12, (1 - half / np.tan(half)) / (4 * half**2))
     skew = so3.hat(turn)
-    slope = np.zeros((len(turn), 6, 6))
-    slope[:, :3, :3] = _IDENTITY[:3, :3]
+    slope = np.zeros((*turn.shape[:-1], 6, 6))
+    slope[..., :3, :3] = _IDENTITY[:3, :3]
     # The inverse of the left Jacobian: Log(Exp(δ) Exp(v)) ≈ v + J⁻¹ δ.
-    slope[:, 3:, 3:] = _IDENTITY[:3, :3] - skew / 2 + factor[:, None, None] * (skew @ skew)
-    return np.concatenate([translations - middle.translations, turn], axis=-1), slope
+    slope[..., 3:, 3:] = _IDENTITY[:3, :3] - skew / 2 + factor[..., None, None] * (skew @ skew)
+    return np.concatenate([translations - middle_translations, turn], axis=-1), slope
+
+
+def rotation_vectors(rotations: Array) -> Array:
+    """Return what so3.log returns for rotations (..., 3, 3), in a third of the time where none is near a half turn."""
+    doubled = rotations - rotations.swapaxes(-1, -2)
+    axes = np.stack([doubled[..., 2, 1], doubled[..., 0, 2], doubled[..., 1, 0]], axis=-1) / 2
+    sine = np.sqrt((axes**2).sum(axis=-1))
+    cosine = (np.trace(rotations, axis1=-2, axis2=-1) - 1) / 2
+    if (cosine < _NEAR_HALF_TURN).any():
+        return so3.log(rotations)
+    small = sine < so3.SERIES_ANGLE
+    scale = np.where(small, 1 + sine**2 / 6, np.arctan2(sine, cosine) / np.where(small, 1.0, sine))
+    return np.asarray(scale[..., None] * axes)
 
 
 def _solved(

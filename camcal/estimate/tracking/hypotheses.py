@@ -23,7 +23,7 @@ from camcal.estimate.tracking.free_motion import (
     descended,
     difference,
 )
-from camcal.estimate.tracking.pixel_costs import PixelFrames, linearised, minimised
+from camcal.estimate.tracking.pixel_costs import FrameCosts, minimised
 from camcal.geometry import rotation as so3
 
 MOST = 10  # hypotheses that are kept
@@ -91,19 +91,34 @@ class Forward:
         return path[::-1]
 
 
-def wrong_frame_costs(frames: PixelFrames, candidates: Candidates, unknown: Array) -> Array:
-    """Return the costs (N) of frames that show something else: another pose, anywhere within variances (6,).
+class WrongFrames(NamedTuple):
+    """What speaks for it that frames show something else: costs (N) of their minima and curvatures (N, 6, 6) there.
 
-    Its pixels fit as well as those of any object; it takes up a pose that nothing foretells.
+    The pixels of another pose fit as well as those of any object. unknown: (6,) variances of where it may be.
     """
-    single = candidates.rotations[:, 0], candidates.translations[:, 0]
-    curvature = linearised(frames, *single, _BLUNT)[2]
-    volume = np.linalg.slogdet(_IDENTITY + unknown[:, None] * curvature)[1]
-    return np.asarray(minimised(frames, *single)[2] + volume - 2 * np.log(RARE))
+
+    costs: Array
+    curvatures: Array
+    unknown: Array
+
+    @classmethod
+    def of(cls, frames: FrameCosts, candidates: Candidates, unknown: Array) -> "WrongFrames":
+        """Return that of frames, by the first pose of each."""
+        single = candidates.rotations[:, 0], candidates.translations[:, 0]
+        return cls(minimised(frames, *single)[2], frames.linearised(*single, _BLUNT)[2], unknown)
+
+    def costs_at(self, frame: int, forecast: Array) -> Array:
+        """Return the costs (K) of a frame by covariances (K, 6, 6) of forecasts.
+
+        Another pose may be anywhere, and where the object itself may be by the forecast: else a loose forecast, as of
+        an unknown velocity, would lose against it.
+        """
+        volumes = np.linalg.slogdet(_IDENTITY + (np.diag(self.unknown) + forecast) @ self.curvatures[frame])[1]
+        return np.asarray(self.costs[frame] + volumes - 2 * np.log(RARE))
 
 
 def followed(
-    frames: PixelFrames,
+    frames: FrameCosts,
     candidates: Candidates,
     stamps: Array,
     motion: FreeMotion,
@@ -120,7 +135,7 @@ def followed(
     result: list[Hypotheses | None] = []
     now: Hypotheses | None = None
     seen_at = -np.inf
-    limits = wrong_frame_costs(frames, candidates, motion.unknown(distance)[POSE])
+    wrong = WrongFrames.of(frames, candidates, motion.unknown(distance)[POSE])
     for index in range(len(frames)):
         there = bool(candidates.there[index].any())
         if there and (now is None or stamps[index] - seen_at > max_gap):
@@ -139,7 +154,7 @@ def followed(
                     motion=motion,
                     jitter_std=jitter_std[index],
                     distance=distance,
-                    limit=float(limits[index]),
+                    wrong=wrong.costs_at(index, now.covariances[:, POSE, POSE]),
                 )
         if there:
             seen_at = stamps[index]
@@ -153,7 +168,7 @@ def _allowed(candidates: Candidates, index: int) -> tuple[Array, Array]:
 
 
 def _begun(
-    frame: PixelFrames,
+    frame: FrameCosts,
     allowed: tuple[Array, Array],
     motion: FreeMotion,
     jitter_std: Array,
@@ -230,26 +245,26 @@ def with_mirrored(expected: Hypotheses, flat: ObjectPlane) -> Hypotheses:
 
 def _seen(
     expected: Hypotheses,
-    frame: PixelFrames,
+    frame: FrameCosts,
     allowed: tuple[Array, Array],
     motion: FreeMotion,
     jitter_std: Array,
     distance: float,
-    limit: float,
+    wrong: Array,
 ) -> Hypotheses:
-    """Return what becomes of hypotheses with a frame: seen, taken for something else, or begun again."""
+    """Return what becomes of hypotheses with a frame: seen, something else at a cost (K), or begun again."""
     ends = _descended(expected, frame, _starts(expected, allowed), jitter_std)
     children = _children(expected, ends, jitter_std)
     parts = [children]
-    if float(ends.costs.min()) > 2 * float(frame.there.sum()) + ANEW:
-        parts.append(expected._replace(costs=expected.costs + limit, kinds=np.full(len(expected.costs), WRONG)))
+    if float(ends.costs.min()) > frame.coordinates * float(frame.there.sum()) + ANEW:
+        parts.append(expected._replace(costs=expected.costs + wrong, kinds=np.full(len(expected.costs), WRONG)))
         parts.append(_anew(expected, frame, allowed, motion, jitter_std, distance))
     return _kept(_joined(parts))
 
 
 def _anew(
     expected: Hypotheses,
-    frame: PixelFrames,
+    frame: FrameCosts,
     allowed: tuple[Array, Array],
     motion: FreeMotion,
     jitter_std: Array,
@@ -281,7 +296,7 @@ def _starts(expected: Hypotheses, allowed: tuple[Array, Array]) -> MotionState:
     )
 
 
-def _descended(expected: Hypotheses, frame: PixelFrames, starts: MotionState, jitter_std: Array) -> DescentResults:
+def _descended(expected: Hypotheses, frame: FrameCosts, starts: MotionState, jitter_std: Array) -> DescentResults:
     return descended(frame, expected.states, expected.covariances[:, POSE, POSE] + jitter_std, starts)
 
 

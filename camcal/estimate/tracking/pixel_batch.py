@@ -15,11 +15,11 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.errors import InsufficientData
 from camcal.estimate.tracking.free_motion import POSE, FreeMotion, MotionState, difference
-from camcal.estimate.tracking.pixel_costs import PixelFrames, linearised
+from camcal.estimate.tracking.pixel_costs import FrameCosts
 from camcal.geometry import rotation as so3
 from camcal.solve.steps import TridiagonalFactor, factorise_tridiagonal
 
-_ITERATIONS = 20
+_ITERATIONS = 60
 _SETTLED = 1e-3  # decrease of a chain's cost that is below which no step is made
 _LOOSENED = (1e-9, 1e-6, 1e-3, 1.0)  # damping against rounding
 _TEMPERATURES = (100.0, 30.0, 10.0, 3.0, 1.0)
@@ -30,14 +30,14 @@ _IDENTITY = np.eye(6)
 class Chains:
     """M frames of one or more chains, one after another.
 
-    frames: their pixels. used: (M) whether they count. steps: (M - 1) s between frames. chains: (M) numbers from 0, in
-    order. begun: (M - 1) links over which the motion began again. unknown: (S,) variances of what is not known of it.
-    anchors: (M, S) information about states where they are now: little at a start, much at a state that is held.
+    frames: what they say of their poses. used: (M) whether they count. steps: (M - 1) s between frames. chains: (M)
+    numbers from 0, in order. begun: (M - 1) links over which the motion began again. unknown: (S,) variances of what is
+    not known of it. anchors: (M, S) information about states where they are now: little at a start, much at one held.
     jitter_std: (M, 6, 6) covariance of shakes, None if nothing shakes. groups: (M) numbers from 0, in order, of
     chains that are judged together; None for each on its own.
     """
 
-    frames: PixelFrames
+    frames: FrameCosts
     used: Array
     steps: Array
     chains: Array
@@ -172,13 +172,13 @@ def _first_pulls(chains: Chains, states: MotionState) -> Array:
     pulls = np.zeros((len(chains.used), 6))
     if chains.jitter_std is None:
         return pulls
-    nothing, best = pulls, linearised(chains.frames, *_shaken(chains, states, pulls))[0]
+    nothing, best = pulls, chains.frames.linearised(*_shaken(chains, states, pulls))[0]
     for temper in _TEMPERATURES:
-        _, gradient, curvature = linearised(chains.frames, *_shaken(chains, states, pulls), temper)
+        _, gradient, curvature = chains.frames.linearised(*_shaken(chains, states, pulls), temper)
         shakes = (chains.jitter_std @ pulls[..., None])[..., 0]
         right = gradient[..., None] - curvature @ shakes[..., None]
         pulls = -np.linalg.solve(_IDENTITY + curvature @ chains.jitter_std, right)[..., 0]
-    cost = linearised(chains.frames, *_shaken(chains, states, pulls))[0]
+    cost = chains.frames.linearised(*_shaken(chains, states, pulls))[0]
     cost = cost + ((chains.jitter_std @ pulls[..., None])[..., 0] * pulls).sum(axis=1)
     return np.where((chains.used & (cost < best))[:, None], pulls, nothing)
 
@@ -198,7 +198,7 @@ def _mixed(old: _Terms, new: _Terms, better: Array, chains: Chains) -> _Terms:
 def _linearised(
     chains: Chains, motion: FreeMotion, links: _Links, states: MotionState, pulls: Array, anchor: MotionState
 ) -> _Terms:
-    cost, gradient, curvature = linearised(chains.frames, *_shaken(chains, states, pulls))
+    cost, gradient, curvature = chains.frames.linearised(*_shaken(chains, states, pulls))
     used = chains.used
     cost, gradient = np.where(used, cost, 0.0), np.where(used[:, None], gradient, 0.0)
     curvature = np.where(used[:, None, None], curvature, 0.0)

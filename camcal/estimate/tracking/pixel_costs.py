@@ -8,6 +8,7 @@ cost = -2 ln[(1 - ε) exp(-e²/2) + ε 2π |C|^½ / area], 0 for e = 0.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import ClassVar, Protocol, Self
 
 import numpy as np
 
@@ -24,6 +25,42 @@ _TINY = 1e-12
 _BEHIND = 1e3  # squared deviations of a point behind the camera
 
 
+class FrameCosts(Protocol):
+    """What N frames say of their poses, in up to P parts each: the pixels of points, or one pose.
+
+    coordinates: the numbers that a part measures.
+    overstated: by how much -2 ln of the evidence is too large, 1 where the likelihood is that of the measurement.
+    """
+
+    coordinates: ClassVar[int]
+    overstated: ClassVar[float]
+
+    @property
+    def there(self) -> Array:
+        """The mask (N, P) of the parts that frames have."""
+
+    def __len__(self) -> int: ...
+    def at(self, frames: Array | int) -> Self:
+        """Return some of the frames, or one without the first axis."""
+
+    def with_noise(self, factor: float) -> Self:
+        """Return the frames with the standard deviations of what they measure times a factor."""
+
+    def squares(self, rotations: Array, translations: Array) -> Array:
+        """Return the squared deviations (..., P) of the parts of frames from what poses (...) predict."""
+
+    def inlier_probabilities(self, squared: Array) -> Array:
+        """Return the probabilities (..., P) that parts belong to the object, by squared deviations; 0 where none is."""
+
+    def linearised(self, rotations: Array, translations: Array, temper: float = 1.0) -> tuple[Array, Array, Array]:
+        """Return the cost (...) of poses, half its gradient (..., 6) and half its curvature (..., 6, 6).
+
+        Steps are tx ty tz rx ry rz with R ← Exp(δr) R. The curvature is that of Gauss and Newton, wrong parts left out
+        by their weights. temper: more than 1 gives weight to parts that are so many times farther off (squared), to
+        begin with; the cost is not changed by it.
+        """
+
+
 @dataclass(frozen=True, eq=False)
 class PixelFrames:
     """The points of an object and their pixels in N frames of up to P points, zeros where a frame has fewer.
@@ -37,6 +74,8 @@ class PixelFrames:
     rays: Array
     there: Array
     floors: Array
+    coordinates: ClassVar[int] = 2
+    overstated: ClassVar[float] = 1.0
 
     @classmethod
     def of(cls, camera: Camera, views: Sequence[Correspondences | None], sigma: float) -> "PixelFrames":
@@ -85,6 +124,46 @@ class PixelFrames:
         """Return the frames with the standard deviations of their pixels times a factor."""
         return replace(self, projections=self.projections / factor, floors=self.floors * factor**2)
 
+    def squares(self, rotations: Array, translations: Array) -> Array:
+        """Return the squared deviations (..., P) of the pixels of frames from what poses (...) predict."""
+        seen = self.points @ rotations.swapaxes(-1, -2) + translations[..., None, :]
+        depth = (seen * self.rays).sum(axis=-1)
+        off = (self.projections @ seen[..., None])[..., 0]
+        front = depth > _LEAST_DEPTH
+        result = (off**2).sum(axis=-1) / np.where(front, depth, 1.0) ** 2
+        return np.asarray(np.where(front, result, _BEHIND) * self.there)
+
+    def inlier_probabilities(self, squared: Array) -> Array:
+        """Return the probabilities (..., P) that pixels belong to their points, 0 without one."""
+        near = np.exp(-squared / 2)
+        return np.asarray(np.where(self.there, near / (near + self.floors), 0.0))
+
+    def linearised(self, rotations: Array, translations: Array, temper: float = 1.0) -> tuple[Array, Array, Array]:
+        """Return the cost of poses with its derivatives, see FrameCosts."""
+        turned = self.points @ rotations.swapaxes(-1, -2)
+        seen = turned + translations[..., None, :]
+        depth = (seen * self.rays).sum(axis=-1)
+        front = (depth > _LEAST_DEPTH) & self.there
+        depth = np.where(front, depth, 1.0)
+        off = (self.projections @ seen[..., None])[..., 0] / depth[..., None]
+        squared = np.where(front, (off**2).sum(axis=-1), _BEHIND * self.there)
+        floors = self.floors
+        near = np.exp(-squared / 2)
+        cost = np.where(self.there, -2 * np.log((near + floors) / (1 + floors)), 0.0).sum(axis=-1)
+        if temper != 1.0:
+            near = np.exp(-squared / (2 * temper))
+        root = np.sqrt(np.where(front, near / (near + floors), 0.0))
+        slopes = (self.projections - off[..., None] * self.rays[..., None, :]) * (root / depth)[..., None, None]
+        jacobian = np.empty((*slopes.shape[:-1], 6))
+        jacobian[..., :3] = slopes
+        arm = turned[..., None, :]
+        for axis, (one, other) in enumerate(((1, 2), (2, 0), (0, 1))):
+            jacobian[..., 3 + axis] = arm[..., one] * slopes[..., other] - arm[..., other] * slopes[..., one]
+        rows = jacobian.reshape(*jacobian.shape[:-3], -1, 6)
+        weighted = (off * root[..., None]).reshape(*rows.shape[:-1], 1)
+        across = rows.swapaxes(-1, -2)
+        return cost, (across @ weighted)[..., 0], across @ rows
+
 
 def _across(rays: Array) -> Array:
     """Return two unit directions (M, 2, 3) across each ray (M, 3) and each other."""
@@ -94,69 +173,19 @@ def _across(rays: Array) -> Array:
     return np.stack([first, np.cross(rays, first)], axis=1)
 
 
-def squares(frames: PixelFrames, rotations: Array, translations: Array) -> Array:
-    """Return the squared deviations (..., P) of the pixels of frames from what poses (...) predict."""
-    seen = frames.points @ rotations.swapaxes(-1, -2) + translations[..., None, :]
-    depth = (seen * frames.rays).sum(axis=-1)
-    off = (frames.projections @ seen[..., None])[..., 0]
-    front = depth > _LEAST_DEPTH
-    result = (off**2).sum(axis=-1) / np.where(front, depth, 1.0) ** 2
-    return np.asarray(np.where(front, result, _BEHIND) * frames.there)
-
-
-def inlier_probabilities(frames: PixelFrames, squared: Array) -> Array:
-    """Return the probabilities (..., P) that pixels belong to their points, from squared deviations; 0 without one."""
-    near = np.exp(-squared / 2)
-    return np.asarray(np.where(frames.there, near / (near + frames.floors), 0.0))
-
-
-def linearised(
-    frames: PixelFrames, rotations: Array, translations: Array, temper: float = 1.0
-) -> tuple[Array, Array, Array]:
-    """Return the cost (...) of poses, half its gradient (..., 6) and half its curvature (..., 6, 6).
-
-    Steps are tx ty tz rx ry rz with R ← Exp(δr) R. The curvature is that of Gauss and Newton, wrong pixels left out by
-    their weights. temper: more than 1 gives weight to pixels that are so many times farther off (squared), to begin
-    with; the cost is not changed by it.
-    """
-    turned = frames.points @ rotations.swapaxes(-1, -2)
-    seen = turned + translations[..., None, :]
-    depth = (seen * frames.rays).sum(axis=-1)
-    front = (depth > _LEAST_DEPTH) & frames.there
-    depth = np.where(front, depth, 1.0)
-    off = (frames.projections @ seen[..., None])[..., 0] / depth[..., None]
-    squared = np.where(front, (off**2).sum(axis=-1), _BEHIND * frames.there)
-    floors = frames.floors
-    near = np.exp(-squared / 2)
-    cost = np.where(frames.there, -2 * np.log((near + floors) / (1 + floors)), 0.0).sum(axis=-1)
-    if temper != 1.0:
-        near = np.exp(-squared / (2 * temper))
-    root = np.sqrt(np.where(front, near / (near + floors), 0.0))
-    slopes = (frames.projections - off[..., None] * frames.rays[..., None, :]) * (root / depth)[..., None, None]
-    jacobian = np.empty((*slopes.shape[:-1], 6))
-    jacobian[..., :3] = slopes
-    arm = turned[..., None, :]
-    for axis, (one, other) in enumerate(((1, 2), (2, 0), (0, 1))):
-        jacobian[..., 3 + axis] = arm[..., one] * slopes[..., other] - arm[..., other] * slopes[..., one]
-    rows = jacobian.reshape(*jacobian.shape[:-3], -1, 6)
-    weighted = (off * root[..., None]).reshape(*rows.shape[:-1], 1)
-    across = rows.swapaxes(-1, -2)
-    return cost, (across @ weighted)[..., 0], across @ rows
-
-
-def minimised(frames: PixelFrames, rotations: Array, translations: Array) -> tuple[Array, Array, Array]:
+def minimised(frames: FrameCosts, rotations: Array, translations: Array) -> tuple[Array, Array, Array]:
     """Return the poses (N, 3, 3), (N, 3) of the minima of frames next to some poses, and their costs (N)."""
-    best = linearised(frames, rotations, translations)
+    best = frames.linearised(rotations, translations)
     damping = np.full(len(rotations), 1e-3)
     for temper in (16.0, 4.0, *(1.0,) * _REFINED):
-        gradient, curvature = best[1:] if temper == 1.0 else linearised(frames, rotations, translations, temper)[1:]
+        gradient, curvature = best[1:] if temper == 1.0 else frames.linearised(rotations, translations, temper)[1:]
         every = np.arange(6)
         curvature = curvature.copy()
         curvature[:, every, every] *= 1 + damping[:, None]
         curvature[:, every, every] += _TINY * np.trace(curvature, axis1=1, axis2=2)[:, None] + _TINY
         step = -np.linalg.solve(curvature, gradient[..., None])[..., 0]
         tried = so3.exp(step[:, 3:]) @ rotations, translations + step[:, :3]
-        after = linearised(frames, *tried)
+        after = frames.linearised(*tried)
         better = after[0] < best[0]
         rotations = np.where(better[:, None, None], tried[0], rotations)
         translations = np.where(better[:, None], tried[1], translations)

@@ -1,4 +1,4 @@
-"""Tracking on pixels: multi-hypothesis filter, batch estimation, search for mirrored poses.
+"""Tracking on the pixels or the poses of frames: multi-hypothesis filter, batch estimation, search for mirrored poses.
 
 With a bounded look-ahead, a frame's pose is that of the hypothesis that is best so many frames later, smoothed back
 along it (Rauch, Tung, Striebel 1965).
@@ -18,10 +18,10 @@ from camcal.estimate.tracking.flips import FAR, Searched, searched
 from camcal.estimate.tracking.free_motion import POSE, FreeMotion, MotionState, ObjectPlane, difference
 from camcal.estimate.tracking.hypotheses import BEGUN, MEASURED, Candidates, Forward, Hypotheses
 from camcal.estimate.tracking.jitter import JitterStd
+from camcal.estimate.tracking.measurements import LEAST, PoseMeasurements
 from camcal.estimate.tracking.pixel_batch import Chains
-from camcal.estimate.tracking.pixel_costs import PixelFrames, inlier_probabilities, squares
+from camcal.estimate.tracking.pixel_costs import FrameCosts, PixelFrames
 from camcal.estimate.tracking.process_noise import NoiseFit, ProcessNoise
-from camcal.estimate.tracking.segments import FramePose, PoseMeasurements
 from camcal.geometry import rotation as so3
 
 _START_TRANSLATION, _START_ROTATION = 0.3, 10.0  # initial value: m²/s³ of an object 1 m away (by its square), rad²/s³
@@ -29,6 +29,8 @@ _FEW = 6  # points up to which a frame's squares are summed for the noise; of mo
 _NOISE_RANGE = 0.3, 3.0  # factors by which the noise may be corrected
 _ENOUGH = 0.45  # share of right points in a frame that shows the object
 _LEAST_NOISE = 1e-2  # px, or of covariances the factor's root: exact pixels have none
+_FIRST = 30  # detections that tell how far away the object is
+_LEAST_DISTANCE = 1e-6  # m; poses of a camera in its own frame may have none
 _NOTED = 0.02  # a correction that is worth it
 
 
@@ -41,7 +43,7 @@ class PixelTrack:
     6) of the poses; p_wrong: (N,) the probability that another pose more than 10° away is the true one.
     contradicted: (N,) whether all frames together say another pose than a bounded look-ahead.
     surprises: (N, 6) whitened innovations of the forward pass, NaN where there are none.
-    jitter_std: what shakes single poses. noise: of the motion. sigma: of the pixels, in the unit of the views' noise.
+    jitter_std: what shakes single poses. noise: of the motion.
     """
 
     used: Array
@@ -56,54 +58,66 @@ class PixelTrack:
     surprises: Array
     jitter_std: JitterStd
     noise: ProcessNoise
-    sigma: float
 
 
-def track_pixels(
-    camera: Camera,
-    stamps: Array,
-    views: Sequence[Correspondences | None],
-    poses: Sequence[FramePose | None],
+def pixel_frames(
+    camera: Camera, views: Sequence[Correspondences | None], measurements: PoseMeasurements, noise_px: float | None
+) -> tuple[PixelFrames, float]:
+    """Return the pixels of frames with a pose, and the standard deviation of a coordinate that they have.
+
+    views: the object's points and pixels in every frame, None where it was not found. noise_px: that standard
+    deviation, of covariances the root of their factor; None to estimate it from the poses of single frames.
+    """
+    seen = [view if there else None for view, there in zip(views, measurements.present, strict=True)]
+    frames = PixelFrames.of(camera, seen, 1.0)
+    sigma = noise_px or max(_first_noise(frames, _candidates(measurements)), _LEAST_NOISE)
+    return frames.with_noise(sigma), sigma
+
+
+def usual_distance(measurements: PoseMeasurements) -> float:
+    """Return the median distance of the object, m, of the first detections: a causal track knows no others.
+
+    Raises InsufficientData if no frame has a pose.
+    """
+    if not measurements.present.any():
+        raise InsufficientData("no detection in any frame")
+    distances = np.linalg.norm(measurements.translations[measurements.present, 0][:_FIRST], axis=1)
+    return max(float(np.median(distances)), _LEAST_DISTANCE)
+
+
+def follow_frames(
+    frames: FrameCosts,
+    measurements: PoseMeasurements,
+    flat: ObjectPlane | None,
     *,
     sigma: float | None = None,
     noise: ProcessNoise | None = None,
     lag: int | None = None,
     max_gap: float = 1.0,
 ) -> PixelTrack:
-    """Return the motion of an object in the camera's frame.
+    """Return the motion of an object in the frame of its poses.
 
-    stamps: (N,) s, increasing. views: the object's points and pixels in every frame, None where it was not found.
-    poses: what single frames gave. sigma: standard deviation of a pixel coordinate, of covariances the root of their
-    factor; None to find it out. noise: of the motion, None to find it out. lag: frames of look-ahead, None for all.
-    Raises InsufficientData if no frame has a pose.
+    measurements: the poses of single frames, to start from. flat: the plane of the object. sigma: standard deviation of
+    a pixel coordinate that may be corrected, None if that of the frames holds. noise: of the motion, None to find it
+    out. lag: frames of look-ahead, None for all.
     """
-    candidates = _candidates(PoseMeasurements.of(stamps, poses))
-    found_in = candidates.there[:, 0]
-    if not found_in.any():
-        raise InsufficientData("no detection in any frame")
-    views = [view if there else None for view, there in zip(views, found_in, strict=True)]
-    given = sigma is not None
-    frames = PixelFrames.of(camera, views, 1.0)
-    sigma = sigma or max(_first_noise(frames, candidates), _LEAST_NOISE)
-    frames = frames.with_noise(sigma)
-    distance = float(np.median(np.linalg.norm(candidates.translations[found_in, 0], axis=1)))
-    run = _Run(frames, candidates, np.asarray(stamps), distance, max_gap, ObjectPlane.of(frames))
+    distance = usual_distance(measurements)
+    run = _Run(frames, _candidates(measurements), measurements.stamps, distance, max_gap, flat)
     motion = FreeMotion(
         (_START_TRANSLATION * distance**2, _START_ROTATION) if noise is None else (noise.translation, noise.rotation)
     )
     tune = noise is None
     first, _ = run.followed(motion, JitterStd(), tune=tune)
     best = process_noise.chosen(first, distance=distance, tune=tune)
-    if not given:
+    if sigma is not None:
         factor = float(np.clip(process_noise.noise_factor(best.track, best.spread), *_NOISE_RANGE))
         factor = max(factor, _LEAST_NOISE / sigma)
         if abs(factor - 1) > _NOTED:
-            sigma *= factor
             run = replace(run, frames=frames.with_noise(factor))
     second, forward = run.followed(best.track.motion, best.jitter_std, tune=tune)
-    if lag is not None:
-        return run.with_lag(forward, second, lag, sigma, noise)
-    return run.whole(forward, searched(second), sigma, noise)
+    rivalled = _Path.of(forward, len(run.stamps) - 1).rivalled
+    result = searched(second, run.backwards(second, tune=tune) if rivalled else None, flat)
+    return run.whole(forward, result, noise) if lag is None else run.with_lag(forward, second, result, lag, noise)
 
 
 def _candidates(measurements: PoseMeasurements) -> Candidates:
@@ -114,7 +128,7 @@ def _first_noise(frames: PixelFrames, candidates: Candidates) -> float:
     """Return the standard deviation of the pixels from single poses, by medians: some frames and pixels are wrong."""
     from scipy.stats import chi2
 
-    squared = squares(frames, candidates.rotations[:, 0], candidates.translations[:, 0])
+    squared = frames.squares(candidates.rotations[:, 0], candidates.translations[:, 0])
     values = []
     for count, row, there in zip(frames.counts, squared, frames.there, strict=True):
         if 4 <= count <= _FEW:
@@ -126,9 +140,9 @@ def _first_noise(frames: PixelFrames, candidates: Candidates) -> float:
 
 @dataclass(frozen=True, eq=False)
 class _Run:
-    """What is followed: pixels (noise 1), candidates, times, usual distance (m), the longest gap (s) and the plane."""
+    """What is followed: frames (noise 1), candidates, times, usual distance (m), the longest gap (s) and the plane."""
 
-    frames: PixelFrames
+    frames: FrameCosts
     candidates: Candidates
     stamps: Array
     distance: float
@@ -137,7 +151,13 @@ class _Run:
 
     def followed(self, motion: FreeMotion, jitter_std: JitterStd, *, tune: bool) -> tuple[NoiseFit, Forward]:
         """Return the track that the best hypothesis leads to, from the first detection on."""
-        forward = hypotheses.followed(
+        forward = self.forward(motion, jitter_std)
+        chains, states = self._chains(forward, motion)
+        return process_noise.fit_noise(chains, motion, states, jitter_std, tune=tune), forward
+
+    def forward(self, motion: FreeMotion, jitter_std: JitterStd) -> Forward:
+        """Return the hypotheses after each frame."""
+        return hypotheses.followed(
             self.frames,
             self.candidates,
             self.stamps,
@@ -147,8 +167,26 @@ class _Run:
             max_gap=self.max_gap,
             flat=self.flat,
         )
-        chains, states = self._chains(forward, motion)
-        return process_noise.fit_noise(chains, motion, states, jitter_std, tune=tune), forward
+
+    def backwards(self, found: NoiseFit, *, tune: bool) -> NoiseFit:
+        """Return the track that the frames in reverse lead to, with the noise of another one to begin with.
+
+        A pass that begins with a wrong pose has found the right one by its end.
+        """
+        chains, count = found.track.chains, len(self.stamps)
+        reverse = replace(
+            self,
+            frames=self.frames.at(np.arange(count)[::-1]),
+            candidates=Candidates(*(part[::-1] for part in self.candidates)),
+            stamps=-self.stamps[::-1],
+        )
+        path = _Path.of(reverse.forward(found.track.motion, found.jitter_std), count - 1)
+        first, last = count - len(chains.used), count - path.first  # frames with a detection before and after
+        states = MotionState(*(part.copy() for part in found.track.states))
+        for whole, part in zip(states, path.states, strict=True):
+            whole[: last - first] = part[::-1][first:]
+        states.rates[: last - first, 0] *= -1
+        return process_noise.fit_noise(chains, found.track.motion, states, found.jitter_std, tune=tune)
 
     def _places(self) -> Array:
         there = self.candidates.there[:, 0]
@@ -177,38 +215,35 @@ class _Run:
         )
         return chains, path.states
 
-    def whole(self, forward: Forward, result: Searched, sigma: float, noise: ProcessNoise | None) -> PixelTrack:
+    def whole(self, forward: Forward, result: Searched, noise: ProcessNoise | None) -> PixelTrack:
         """Return the estimate from all frames together."""
         found = result.found
         track, chains = found.track, found.track.chains
         path = _Path.of(forward, len(self.stamps) - 1)
         rotations, translations = track.poses
         states = track.states._replace(rotations=rotations, translations=translations)
-        right = inlier_probabilities(chains.frames, squares(chains.frames, rotations, translations)).sum(axis=1)
-        used = chains.used & (right > _ENOUGH * chains.frames.counts)
+        right = chains.frames.inlier_probabilities(chains.frames.squares(rotations, translations)).sum(axis=1)
+        used = chains.used & (right > _ENOUGH * chains.frames.there.sum(axis=1))
         parts = (used, states, found.spread.poses, result.p_wrong, np.zeros(len(used), dtype=bool), path.surprises)
-        return self._given(found, parts, sigma, noise)
+        return self._given(found, parts, noise)
 
     def with_lag(
-        self, forward: Forward, found: NoiseFit, lag: int, sigma: float, noise: ProcessNoise | None
+        self, forward: Forward, found: NoiseFit, whole: Searched, lag: int, noise: ProcessNoise | None
     ) -> PixelTrack:
         """Return the estimate of each frame from the frames up to `lag` later ones."""
-        from camcal.estimate.tracking.pixel_track import lagged
-
         states, covariances, p_wrong = lagged(forward, lag, FAR)
         path = _Path.of(forward, len(self.stamps) - 1)
         kinds = np.array([_best_kind(forward, frame) for frame in range(path.first, len(self.stamps))])
         shakes = process_noise.covariance_for(found.jitter_std, states.translations)
         used = (kinds == MEASURED) | (kinds == BEGUN)
-        apart = so3.angle_between(states.rotations, searched(found).found.track.poses[0]) > FAR
+        apart = so3.angle_between(states.rotations, whole.found.track.poses[0]) > FAR
         parts = (used, states, covariances[:, POSE, POSE] + shakes, p_wrong, apart, path.surprises)
-        return self._given(found, parts, sigma, noise)
+        return self._given(found, parts, noise)
 
     def _given(
         self,
         found: NoiseFit,
         parts: tuple[Array, MotionState, Array, Array, Array, Array],
-        sigma: float,
         noise: ProcessNoise | None,
     ) -> PixelTrack:
         """Return a track from what is known of its frames: in the order of the fields."""
@@ -228,8 +263,10 @@ class _Run:
             contradicted=_padded(contradicted, first),
             surprises=_padded(surprises, first),
             jitter_std=found.jitter_std,
-            noise=noise or ProcessNoise(translation, rotation, fading=motion.fading),
-            sigma=sigma,
+            noise=noise
+            or ProcessNoise(
+                translation, rotation, process_noise.density_factors(found.track, found.spread), motion.fading
+            ),
         )
 
 
@@ -247,25 +284,62 @@ def _best_kind(forward: Forward, frame: int) -> int:
 
 @dataclass(frozen=True, eq=False)
 class _Path:
-    """The course of the best hypothesis: the first frame, states, kinds (M) and surprises (M, 6)."""
+    """The course of the best hypothesis: what was known at M frames, from the first one on, and which led to it."""
 
     first: int
-    states: MotionState
-    kinds: Array
-    surprises: Array
+    known: list[tuple[Hypotheses, int]]
 
     @classmethod
     def of(cls, forward: Forward, last: int) -> "_Path":
         steps = forward.path(last)
         at = [(forward.frames[frame], which) for frame, which in steps]
-        known = [(hypothesis, which) for hypothesis, which in at if hypothesis is not None]
-        states = [each.states.at(which) for each, which in known]
-        return cls(
-            steps[0][0],
-            MotionState(*map(np.stack, zip(*states, strict=True))),
-            np.array([each.kinds[which] for each, which in known]),
-            np.array([each.surprises[which] for each, which in known]),
+        return cls(steps[0][0], [(hypotheses, which) for hypotheses, which in at if hypotheses is not None])
+
+    @property
+    def states(self) -> MotionState:
+        """The states (M), smoothed back."""
+        return _smoothed(self.known)
+
+    @property
+    def kinds(self) -> Array:
+        """What the frames (M) were to it."""
+        return np.array([each.kinds[which] for each, which in self.known])
+
+    @property
+    def surprises(self) -> Array:
+        """The whitened innovations (M, 6)."""
+        return np.array([each.surprises[which] for each, which in self.known])
+
+    @property
+    def rivalled(self) -> bool:
+        """Whether another pose was likely in more than a few frames: then it may have been given up too early."""
+        frames = 0
+        for each, which in self.known:
+            if len(each.costs) > 1:
+                rotations = each.states.rotations
+                frames += bool((so3.angle_between(rotations, rotations[which]) > FAR).any())
+        return frames >= LEAST
+
+
+def _smoothed(known: list[tuple[Hypotheses, int]]) -> MotionState:
+    """Return the states (M) of a hypothesis and those that it stems from, smoothed back."""
+    filtered, spread, expected, expected_spread, growth = (
+        [part.at(which) if isinstance(part, MotionState) else part[which] for part, which in parts]
+        for parts in zip(
+            *([(each, which) for each in (one.states, one.covariances, *one[3:6])] for one, which in known),
+            strict=True,
         )
+    )
+    gains = _gains(np.array(spread[:-1]), np.array(expected_spread[1:]), np.array(growth[1:]))
+    states = filtered[-1:]
+    for state, gain, forecast in zip(filtered[-2::-1], gains[::-1], expected[:0:-1], strict=True):
+        states.append(state.moved(gain @ difference(states[-1], forecast)))
+    return MotionState(*map(np.stack, zip(*states[::-1], strict=True)))
+
+
+def _gains(spread: Array, expected_spread: Array, growth: Array) -> Array:
+    """Return by how much (..., S, S) states move with what is learnt of the next ones, 0 where nothing links them."""
+    return np.asarray(np.linalg.solve(expected_spread, growth @ spread).swapaxes(-1, -2))
 
 
 def lagged(forward: Forward, lag: int, far: float) -> tuple[MotionState, Array, Array]:
@@ -289,7 +363,7 @@ def lagged(forward: Forward, lag: int, far: float) -> tuple[MotionState, Array, 
         which[rows] = [int(known[frame].parents[one]) for frame, one in zip(later, index, strict=True)]
         at[rows] -= 1
         filtered, spread = _gathered(known, at[rows], which[rows], "states", "covariances")
-        gain = np.linalg.solve(expected_spread, growth @ spread).swapaxes(-1, -2)
+        gain = _gains(spread, expected_spread, growth)
         step = (gain @ difference(states.at(rows), expected)[..., None])[..., 0]
         after = spread + gain @ (covariances[rows] - expected_spread) @ gain.swapaxes(-1, -2)
         for whole, part in zip(states, filtered.moved(step), strict=True):

@@ -1,37 +1,15 @@
-"""Process noise: from the innovations of a filter, or from the evidence of a track with vibration.
+"""Process noise and vibration from the evidence of a track: MacKay's rule, and the choice between models."""
 
-The densities of white noise are those that make the innovations likeliest. The likelihood is that of the filter, each
-frame's part bounded by that of an outlier. Candidates of the densities are tried side by side, and so are stretches of
-the track.
-"""
-
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 
 from camcal.arrays import Array, FloatArray
 from camcal.errors import InvalidInput
-from camcal.estimate.tracking import pose_filter
 from camcal.estimate.tracking.free_motion import FreeMotion, MotionState, difference
 from camcal.estimate.tracking.jitter import JitterStd
 from camcal.estimate.tracking.pixel_batch import BatchTrack, Chains, Spread, solved, spread_of
-from camcal.estimate.tracking.pixel_costs import inlier_probabilities, squares
-from camcal.estimate.tracking.pose_filter import Candidates, FilterState
-from camcal.estimate.tracking.segments import LEAST, GateOptions, PoseMeasurements, Segment, candidates_at, follow
 
-_STRETCH = 60  # frames; the first of each tells little
-_STRETCHES = 16  # that are examined, spread evenly
-_SPACINGS = (1.0, 0.25)  # decades between the densities tried: an initial value may lose the track, and is corrected
-_FINEST, _ROUNDS = 0.25, 40
-_UNKNOWN = 10.0  # decades: the likelihood is flat
-_NOTICEABLE = 0.05  # of -2 log likelihood: less is no reason to go on towards no noise at all
-_START_ROTATION = 1.0  # rad²/s³: a hand moves so
-_START_TRANSLATION = 0.1  # 1/s³, of the squared distance
-_AROUND = np.array([(0, 0), (-1, 0), (1, 0), (0, -1), (0, 1)], dtype=float)
-
-# the choice by evidence
 FADING = 0.3  # s, in which accelerations fade
 _CHOICE_ROUNDS, _ROUNDS_SHAKEN = 5, 8
 _STEPS = 3  # of Gauss-Newton between two changes of the noise
@@ -66,96 +44,6 @@ class ProcessNoise:
         return np.array([self.translation, self.rotation])
 
 
-class _Stretches(NamedTuple):
-    """Stretches of a track side by side: beliefs (S, 1, …) at their starts, then time steps (S, 1) s and candidates."""
-
-    starts: FilterState
-    steps: list[Array]
-    seen: list[Candidates]
-    outlier_cost: float
-
-
-def tuned(measurements: PoseMeasurements, following: GateOptions) -> ProcessNoise:
-    """Return the densities under which the detections are likeliest; the first guess where nothing can be followed."""
-    present = measurements.present
-    distance = float(np.median(np.linalg.norm(measurements.translations[present, 0], axis=-1)))
-    densities = np.array([_START_TRANSLATION * max(distance, 1e-6) ** 2, _START_ROTATION])
-    deviation = np.full(2, _UNKNOWN)
-    for spacing in _SPACINGS:
-        stretches = _stretches(measurements, follow(measurements, densities, following))
-        if stretches is None:
-            break
-        densities, deviation = _likeliest(stretches, densities, spacing, following.gate)
-    (translation, rotation), (first, second) = map(float, densities), map(float, 10**deviation)
-    return ProcessNoise(translation, rotation, (first, second))
-
-
-def _stretches(measurements: PoseMeasurements, segments: Sequence[Segment]) -> _Stretches | None:
-    """Return the stretches of the pieces, as many as are examined; None if there are none."""
-    cuts = [cut for segment in segments for cut in _cut(segment)]
-    if not cuts:
-        return None
-    chosen = [cuts[index] for index in np.unique(np.linspace(0, len(cuts) - 1, _STRETCHES).astype(int))]
-    starts = FilterState(*map(np.stack, zip(*(start for start, _ in chosen), strict=True)))
-    frames = np.array([[*part, *[-1] * (_STRETCH - len(part))] for _, part in chosen])
-    steps = np.where(frames[:, 1:] < 0, 0.0, measurements.stamps[frames[:, 1:]] - measurements.stamps[frames[:, :-1]])
-    seen = []
-    for later in frames.T[1:]:
-        candidates = candidates_at(measurements, later)
-        penalties = np.where(later[:, None] < 0, np.inf, candidates.penalties)
-        seen.append(Candidates(*(part[:, None] for part in candidates._replace(penalties=penalties))))
-    return _Stretches(
-        starts.each(lambda values: values[:, None]),
-        [step[:, None] for step in steps.T],
-        seen,
-        measurements.outlier_cost,
-    )
-
-
-def _cut(segment: Segment) -> list[tuple[FilterState, Array]]:
-    """Return the stretches of a piece: what was estimated at the first frame, and the indices of all."""
-    cuts = []
-    for first in range(0, len(segment.frames) - LEAST + 1, _STRETCH - 1):
-        start = segment.run.filtered.each(lambda values: values[first])  # noqa: B023 - used at once
-        cuts.append((start, segment.frames[first : first + _STRETCH]))
-    return cuts
-
-
-def _costs(stretches: _Stretches, densities: Array, bound: float) -> Array:
-    """Return -2 log likelihood (Q,) of all stretches under each of densities (Q, 2), up to a constant."""
-    shape = len(stretches.starts.translations), len(densities)
-    belief = stretches.starts.each(lambda values: np.broadcast_to(values, (*shape, *values.shape[2:])))
-    total = np.zeros(len(densities))
-    for dt, seen in zip(stretches.steps, stretches.seen, strict=True):
-        belief, _ = pose_filter.predict(belief, densities, dt)
-        belief, verdict = pose_filter.update(belief, seen, bound)
-        total += np.minimum(verdict.cost, stretches.outlier_cost).sum(axis=0)
-    return total
-
-
-def _likeliest(stretches: _Stretches, densities: Array, spacing: float, bound: float) -> tuple[Array, Array]:
-    """Return the densities (2,) of the lowest cost, and the standard deviation (2,) of their decimal logarithms."""
-    centre = np.log10(densities)
-    for _ in range(_ROUNDS):
-        costs = _costs(stretches, 10 ** (centre + spacing * _AROUND), bound)
-        best = int(np.argmin(costs))
-        if costs[best] < costs[0] - _NOTICEABLE:
-            centre = centre + spacing * _AROUND[best]
-        elif spacing > _FINEST:
-            spacing /= 2
-        else:
-            break
-    return _vertex(centre, spacing, costs)
-
-
-def _vertex(centre: Array, spacing: float, costs: Array) -> tuple[Array, Array]:
-    """Return the densities at the lowest points of parabolas through the costs around the best, and their spread."""
-    low, high = costs[1::2] - costs[0], costs[2::2] - costs[0]
-    curvature = np.maximum(low + high, np.finfo(float).tiny)
-    step = np.clip((low - high) / (2 * curvature), -0.5, 0.5)
-    return 10 ** (centre + spacing * step), np.minimum(spacing * np.sqrt(2 / curvature), _UNKNOWN)
-
-
 @dataclass(frozen=True, eq=False)
 class NoiseFit:
     """A track with the noise that explains it best, and its covariances."""
@@ -187,7 +75,7 @@ def fit_noise(
     track = solved(chains, motion, states)
     spread = spread_of(track)
     for _ in range(rounds):
-        if tune:
+        if tune and (chains.linked & ~chains.begun).any():
             motion = replace(motion, densities=tuned_densities(track, spread))
         if jitter_std.any:
             used = chains.used
@@ -238,9 +126,9 @@ def chosen(found: NoiseFit, *, distance: float, tune: bool = True) -> NoiseFit:
     if not best.jitter_std.any:
         track = best.track
         guess = JitterStd.guess(distance)
-        shaken = fit_noise(track.chains, track.motion, track.states, guess, tune=tune, rounds=_ROUNDS_SHAKEN)
-        if shaken.evidence < best.evidence - _BETTER:
-            best = _simpler(shaken, tune=tune)
+        tried = fit_noise(track.chains, track.motion, track.states, guess, tune=tune, rounds=_ROUNDS_SHAKEN)
+        if tried.evidence < best.evidence - _BETTER:
+            best = _simpler(tried, tune=tune)
     return best
 
 
@@ -263,10 +151,23 @@ def covariance_for(jitter_std: JitterStd, translations: Array) -> Array:
 
 def tuned_densities(track: BatchTrack, spread: Spread) -> tuple[float, float]:
     """Return the densities of process noise of the next step to the highest evidence: q eᵀQ⁻¹e / (n - tr Q⁻¹ Cov e)."""
+    densities = [
+        density * float(np.clip(squares / max(known, 1e-3 * squares, 1e-12), 0.05, 20.0))
+        for density, (squares, known) in zip(track.motion.densities, _process_noise_seen(track, spread), strict=True)
+    ]
+    return densities[0], densities[1]
+
+
+def density_factors(track: BatchTrack, spread: Spread) -> tuple[float, float]:
+    """Return by which factors the densities may be off (one standard deviation): exp √(2 / (n - tr Q⁻¹ Cov e))."""
+    first, second = (float(np.exp(np.sqrt(2 / max(known, 0.1)))) for _, known in _process_noise_seen(track, spread))
+    return first, second
+
+
+def _process_noise_seen(track: BatchTrack, spread: Spread) -> list[tuple[float, float]]:
+    """Return eᵀQ⁻¹e and n - tr Q⁻¹ Cov e of translation and rotation: the squared noise, and what is known of it."""
     chains, motion = track.chains, track.motion
     regular = chains.linked & ~chains.begun
-    if not regular.any():
-        return motion.densities
     information = motion.information(np.where(regular, chains.steps, 1.0))
     forecast, growth = motion.forecast(track.states.at(slice(None, -1)), chains.steps)
     off = difference(track.states.at(slice(1, None)), forecast)
@@ -274,21 +175,20 @@ def tuned_densities(track: BatchTrack, spread: Spread) -> tuple[float, float]:
     unsure = spread.states[1:] + growth @ spread.states[:-1] @ growth.swapaxes(-1, -2)
     unsure -= crossed + crossed.swapaxes(-1, -2)
     result = []
-    for axis, density in enumerate(motion.densities):
+    for axis in range(2):
         part = np.concatenate([6 * order + 3 * axis + np.arange(3) for order in range(motion.order + 1)])
         inner = information[regular][:, part[:, None], part]
         squares = float(np.einsum("ni,nij,nj->", off[regular][:, part], inner, off[regular][:, part]))
         known = inner.shape[0] * len(part) - float((inner * unsure[regular][:, part[:, None], part]).sum())
-        factor = squares / max(known, 1e-3 * squares, 1e-12)
-        result.append(density * float(np.clip(factor, 0.05, 20.0)))
-    return result[0], result[1]
+        result.append((squares, known))
+    return result
 
 
 def noise_factor(track: BatchTrack, spread: Spread) -> float:
     """Return by how much the pixels' standard deviations are too small, from the residuals of right pixels."""
     used = track.chains.used
-    squared = squares(track.chains.frames, *track.poses)
-    weights = np.where(used[:, None], inlier_probabilities(track.chains.frames, squared), 0.0)
+    squared = track.chains.frames.squares(*track.poses)
+    weights = np.where(used[:, None], track.chains.frames.inlier_probabilities(squared), 0.0)
     spent = float(np.einsum("nij,nji->", track.curvatures[used], spread.poses[used]))
-    dof = 2 * float(weights.sum()) - spent
+    dof = track.chains.frames.coordinates * float(weights.sum()) - spent
     return float(np.sqrt((weights * squared).sum() / max(dof, 1.0)))

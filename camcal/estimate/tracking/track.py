@@ -1,4 +1,4 @@
-"""Tracks from poses of single frames, with covariances, velocities and a consistency check."""
+"""Tracks from the poses or the pixels of single frames, with covariances, velocities and a consistency check."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -7,21 +7,17 @@ import numpy as np
 
 from camcal.arrays import Array, BoolArray, FloatArray, IntArray, readonly
 from camcal.brief import Brief
+from camcal.cameras.model import Camera
 from camcal.errors import InsufficientData, InvalidInput
+from camcal.estimate.poses.records import Correspondences
 from camcal.estimate.smoothing.kalman import AMBIGUOUS, Consistency, consistency, successive
 from camcal.estimate.tracking.flips import FAR
+from camcal.estimate.tracking.free_motion import FreeMotion, ObjectPlane
 from camcal.estimate.tracking.jitter import Jitter, JitterStd, jitter
-from camcal.estimate.tracking.pose_filter import FilterState, smoothed, smoothed_with_lag
-from camcal.estimate.tracking.process_noise import ProcessNoise, tuned
-from camcal.estimate.tracking.segments import (
-    LEAST,
-    WINDOW,
-    FramePose,
-    GateOptions,
-    PoseMeasurements,
-    Segment,
-    follow,
-)
+from camcal.estimate.tracking.measurements import LEAST, FramePose, GateOptions, PoseMeasurements
+from camcal.estimate.tracking.pixel_track import PixelTrack, follow_frames, pixel_frames, usual_distance
+from camcal.estimate.tracking.pose_costs import PoseFrames, mirror_plane
+from camcal.estimate.tracking.process_noise import ProcessNoise
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose, inverse_jacobian
 from camcal.messages import Message
@@ -29,6 +25,7 @@ from camcal.messages import Message
 MEASURED, PREDICTED, REJECTED, GAP = "measured", "predicted", "rejected", "gap"
 STATES = (MEASURED, PREDICTED, REJECTED, GAP)
 _OTHER_POSE_LIKELY = 0.01  # probability of another pose that is told
+_JUMP = 0.1, 0.35  # of the distance, and rad: what starts again with such a step is another piece
 _OFTEN = 0.03  # share of poses that may be wrong, on average, from which on a track is ambiguous
 
 
@@ -156,44 +153,45 @@ def track_poses(
     """
     require_found(poses)
     measurements = PoseMeasurements.of(stamps, poses)
-    noise = options.noise or tuned(measurements, options.following)
-    segments = follow(measurements, noise.densities, options.following)
-    if not segments:
-        raise no_track(poses)
-    track = _assembled(frames, measurements, common_part(poses), noise, segments, options)
-    if options.lag is not None:
-        return track
-    track = replace(track, p_wrong=_chance_of_others(measurements, track, segments, options.following))
-    if track.consistency is None:
-        return track
-    return replace(track, consistency=or_ambiguous(track.consistency, float(np.nanmean(track.p_wrong))))
+    unknown = FreeMotion((1.0, 1.0)).unknown(usual_distance(measurements))
+    followed = follow_frames(
+        PoseFrames.of(measurements, unknown, options.following.gate),
+        measurements,
+        mirror_plane(measurements),
+        noise=options.noise,
+        lag=options.lag,
+        max_gap=options.following.max_gap,
+    )
+    return _assembled(frames, followed, measurements, poses, options)
 
 
-def _chance_of_others(
-    measurements: PoseMeasurements, track: Track, segments: Sequence[Segment], following: GateOptions
-) -> Array:
-    """Return the probability (N,) that the other poses of the frames around each are the true ones, NaN without a pose.
+def track_views(
+    camera: Camera,
+    stamps: Array,
+    views: Sequence[Correspondences | None],
+    poses: Sequence[FramePose | None],
+    options: TrackOptions = DEFAULTS,
+    noise_px: float | None = None,
+) -> Track:
+    """Return the track camera_T_object of an object from its pixels in single frames.
 
-    A second track follows these. Motion and pixels both speak: each frame counts with the likelihood of its pose given
-    those before, over a window, as the true pose may be the other one for a while.
+    views: the object's points and pixels, one a frame, None where it was not found. poses: what single frames gave,
+    None where they gave none. noise_px: standard deviation of a pixel coordinate, None to find it out.
+    Raises as `track_poses` does.
     """
-    rotations = np.where(track.posed[:, None, None], track.rotations, np.eye(3))
-    near = so3.angle_between(rotations[:, None], measurements.rotations) < FAR
-    found = np.isfinite(measurements.penalties)
-    two = track.posed & (found & near).any(axis=1) & (found & ~near).any(axis=1)
-    rival = measurements.keeping(np.where(two[:, None], ~near, True))
-    cost = []
-    for seen, pieces in ((measurements, segments), (rival, follow(rival, track.noise.densities, following))):
-        each = np.full(len(seen), measurements.outlier_cost)
-        for piece in pieces:
-            each[piece.frames] = piece.costs(measurements.outlier_cost)
-        cost.append(each)
-    more = np.where(two, cost[1] - cost[0], 0.0)
-    total = np.concatenate([[0.0], np.cumsum(more)])
-    frames = np.arange(len(more))
-    lead = total[np.minimum(frames + WINDOW + 1, len(more))] - total[np.maximum(frames - WINDOW, 0)]
-    chance = np.where(two, 1 / (1 + np.exp(np.clip(lead / 2, -500, 500))), 0.0)
-    return np.where(track.posed, chance, np.nan)
+    require_found(poses)
+    measurements = PoseMeasurements.of(stamps, poses)
+    frames, sigma = pixel_frames(camera, views, measurements, noise_px)
+    followed = follow_frames(
+        frames,
+        measurements,
+        ObjectPlane.of(frames),
+        sigma=None if noise_px else sigma,
+        noise=options.noise,
+        lag=options.lag,
+        max_gap=options.following.max_gap,
+    )
+    return _assembled("camera_T_object", followed, measurements, poses, options)
 
 
 def or_ambiguous(judged: Consistency, share: float) -> Consistency:
@@ -233,94 +231,93 @@ def common_part(poses: Sequence[FramePose | None]) -> Array:
     return np.asarray(parts[np.where(nearer, before, after)])
 
 
-@dataclass(eq=False)
-class _Frames:
-    """What is known of each of N frames while the pieces are put in their places."""
-
-    belief: FilterState
-    segments: Array
-    accepted: Array
-    settled: Array
-    nis: Array
-    candidates: Array
-
-    @classmethod
-    def nothing(cls, count: int) -> "_Frames":
-        shapes = ((3, 3), (3,), (6,), (12, 12))
-        belief = FilterState(*(np.full((count, *shape), np.nan) for shape in shapes))
-        numbers, flags = np.full(count, -1), np.zeros(count, dtype=bool)
-        return cls(belief, numbers, flags, flags.copy(), np.full(count, np.nan), numbers.copy())
-
-    def put(self, number: int, segment: Segment, present: Array, lag: int | None) -> None:
-        """Enter a piece; with a bounded look-ahead the poses before its start is settled are not given."""
-        at, verdicts = segment.frames, segment.verdicts
-        belief = smoothed(segment.run) if lag is None else smoothed_with_lag(segment.run, lag)
-        for whole, part in zip(self.belief, belief, strict=True):
-            whole[at] = part
-        self.segments[at] = number
-        self.accepted[at] = verdicts.accepted
-        self.settled[at] = lag is None or at + lag >= segment.settled
-        self.nis[at] = np.where(present[at], verdicts.nis, np.nan)
-        self.candidates[at] = np.where(present[at], verdicts.chosen, -1)
-
-    def states(self, present: Array, *, fill: bool) -> Array:
-        """Return the states (N,): a detection is measured if its pose is given, a frame without one predicted."""
-        result = np.full(len(present), GAP, dtype=object)
-        result[present & (self.settled | (self.segments < 0))] = REJECTED
-        result[self.accepted & self.settled] = MEASURED
-        if fill:
-            result[~present & self.settled] = PREDICTED
-        return result
-
-
 def _assembled(
     frames: str,
+    followed: PixelTrack,
     measurements: PoseMeasurements,
-    common: Array,
-    noise: ProcessNoise,
-    segments: Sequence[Segment],
+    poses: Sequence[FramePose | None],
     options: TrackOptions,
 ) -> Track:
-    stamps, present = measurements.stamps, measurements.present
-    known = _Frames.nothing(len(stamps))
-    for number, segment in enumerate(segments):
-        known.put(number, segment, present, options.lag)
-    states = known.states(present, fill=options.fill)
-    posed = known.settled & (options.fill | (states == MEASURED))
-    if not posed.any():
-        raise InsufficientData(f"no initial pose found within {options.lag} frames of look-ahead; allow more, or all")
-    rotations, translations, velocities, covariances = (at_poses(posed, values) for values in known.belief)
-    used, pieces = states == MEASURED, known.segments
+    segments = _pieces(followed, measurements.stamps, options.following.max_gap)
+    if (segments < 0).all():
+        raise no_track(poses)
+    present, inside = measurements.present, segments >= 0
+    used = followed.used & inside
+    states = np.full(len(present), GAP, dtype=object)
+    states[present] = REJECTED
+    states[used] = MEASURED
+    if options.fill:
+        states[inside & ~present] = PREDICTED
+    posed = inside & (options.fill | used)
+    rotations, translations, velocities, covariances = (
+        at_poses(posed, values)
+        for values in (followed.rotations, followed.translations, followed.velocities, followed.covariances)
+    )
+    turns = so3.angle_between(measurements.rotations, np.nan_to_num(rotations)[:, None])
+    nearest = np.argmin(np.where(np.isfinite(measurements.penalties), turns, np.inf), axis=1)
+    p_wrong = np.where(posed, followed.p_wrong, np.nan)
+    jerks = np.flatnonzero(followed.jerked & inside)
+    single = (measurements.rotations[:, 0], measurements.translations[:, 0])
     return Track(
         frames,
-        stamps,
+        measurements.stamps,
         states=tuple(states),
-        segments=pieces,
+        segments=segments,
         rotations=rotations,
         translations=translations,
         velocities=velocities,
-        covariances=covariances[:, :6, :6] + common,
-        nis=known.nis,
-        candidates=known.candidates,
-        noise=noise,
-        jerks=tuple(jerk for segment in segments for jerk in segment.jerks),
-        consistency=_judged(segments),
-        before=jitter(
-            *(part[used] for part in (stamps, measurements.rotations[:, 0], measurements.translations[:, 0], pieces))
-        ),
-        after=jitter(*(part[used] for part in (stamps, rotations, translations, pieces))),
-        p_wrong=np.full(len(stamps), np.nan),
+        covariances=covariances + common_part(poses),
+        nis=np.where(used, (followed.surprises**2).sum(axis=1), np.nan),
+        candidates=np.where(present & posed, nearest, -1),
+        noise=followed.noise,
+        jerks=tuple(int(each) for each in jerks if each and segments[each - 1] == segments[each]),
+        consistency=_judged_pixels(followed, used, segments, p_wrong, covariances),
+        before=jitter(*(part[used] for part in (measurements.stamps, *single, segments))),
+        after=jitter(*(part[used] for part in (measurements.stamps, rotations, translations, segments))),
+        p_wrong=p_wrong,
+        jitter_std=followed.jitter_std,
     )
 
 
-def _judged(segments: Sequence[Segment]) -> Consistency | None:
-    """Return a consistency check of the innovations of accepted detections."""
-    chains = np.concatenate([np.full(len(segment.verdicts.nis), number) for number, segment in enumerate(segments)])
-    nis, whitened = (
-        np.concatenate([getattr(segment.verdicts, name) for segment in segments]) for name in ("nis", "whitened")
-    )
-    foretold = np.concatenate([segment.foretold for segment in segments])
+def _pieces(followed: PixelTrack, stamps: Array, max_gap: float) -> Array:
+    """Return the numbers (N,) of the pieces from the first to the last frame used of each, -1 outside."""
+    shifts = np.linalg.norm(np.diff(followed.translations, axis=0), axis=1)
+    far = shifts > _JUMP[0] * np.linalg.norm(followed.translations[1:], axis=1)
+    far |= so3.angle_between(followed.rotations[1:], followed.rotations[:-1]) > _JUMP[1]
+    ends = ~followed.linked
+    ends[1:] |= followed.jerked[1:] & far
+    used = np.flatnonzero(followed.used)
+    ends[used[1:][np.diff(stamps[used]) > max_gap]] = True
+    result = np.full(len(stamps), -1)
+    number = 0
+    for frames in np.split(np.arange(len(stamps)), np.flatnonzero(ends)):
+        there = frames[followed.used[frames]]
+        if len(there) >= LEAST:
+            result[there[0] : there[-1] + 1] = number
+            number += 1
+    return result
+
+
+def _judged_pixels(
+    followed: PixelTrack, used: Array, segments: Array, p_wrong: Array, covariances: Array
+) -> Consistency | None:
+    """Return a check of the innovations of frames with known velocities, and whether poses are ambiguous."""
+    foretold = used & ~followed.jerked & np.isfinite(followed.surprises[:, 0])
+    for number in range(int(segments.max()) + 1):
+        foretold[np.flatnonzero(used & (segments == number))[:2]] = False
     if not foretold.any():
         return None
-    pairs = successive(whitened[foretold], chains[foretold])
-    return consistency(nis[foretold], np.full(int(foretold.sum()), 6.0), pairs)
+    whitened = followed.surprises[foretold]
+    pairs = successive(whitened, segments[foretold])
+    judged = consistency((whitened**2).sum(axis=1), np.full(len(whitened), 6.0), pairs)
+    spread = np.sqrt(np.maximum(np.linalg.eigvalsh(covariances[used][:, 3:, 3:])[:, -1], 1e-18))
+    doubt = np.maximum(p_wrong, followed.contradicted)[used]
+    share = float(np.mean(1 - (1 - doubt) * (1 - _beyond(FAR / spread))))
+    return or_ambiguous(judged, share)
+
+
+def _beyond(ratio: Array) -> Array:
+    """Return how likely a normal deviate is beyond so many standard deviations, on either side."""
+    from scipy.special import erfc
+
+    return np.asarray(erfc(ratio / np.sqrt(2)))

@@ -10,10 +10,9 @@ from camcal.arrays import Array
 from camcal.cameras.model import Camera
 from camcal.errors import CamcalError, InsufficientData, InvalidInput
 from camcal.estimate.poses.records import Correspondences
+from camcal.estimate.tracking.measurements import GateOptions
 from camcal.estimate.tracking.process_noise import ProcessNoise
-from camcal.estimate.tracking.segments import GateOptions
-from camcal.estimate.tracking.track import Track, TrackOptions, track_poses
-from camcal.estimate.tracking.view_track import track_views
+from camcal.estimate.tracking.track import Track, TrackOptions, track_poses, track_views
 from camcal.formats import poses, trajectories
 from camcal.formats.poses.record import PoseKey, PoseRecord, Poses
 from camcal.formats.trajectories.tracked import SUFFIXES, TrackedObject, write_tracks
@@ -105,7 +104,9 @@ def track(options: TrackingOptions, progress: Progress = SILENT) -> TrackReport:
         raise next(iter(lost.values()))
     outputs = _written(options, seen.images, objects)
     warnings = [
-        each.at(name) if name else each for name, item in objects.items() for each in track_words.warnings(item)
+        each.at(name) if name else each
+        for name, item in objects.items()
+        for each in track_words.warnings(item, of_poses=options.of_poses)
     ]
     warn_of(warnings, progress)
     return TrackReport(

@@ -11,8 +11,7 @@ from camcal.estimate.pnp import estimate_poses
 from camcal.estimate.poses.records import Correspondences, PoseOptions
 from camcal.estimate.smoothing.kalman import AMBIGUOUS
 from camcal.estimate.tracking.process_noise import ProcessNoise
-from camcal.estimate.tracking.track import TrackOptions
-from camcal.estimate.tracking.view_track import track_views
+from camcal.estimate.tracking.track import TrackOptions, track_views
 from camcal.geometry import rotation as so3
 
 CAMERA = Camera(model_named("pinhole"), (1280, 960), np.array([800.0, 800.0, 639.5, 479.5]))

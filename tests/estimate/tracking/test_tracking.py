@@ -15,9 +15,9 @@ from camcal.cameras.model import Camera
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.estimate.pnp import estimate_poses
 from camcal.estimate.poses.records import Correspondences, PoseOptions
+from camcal.estimate.tracking.measurements import GateOptions
 from camcal.estimate.tracking.process_noise import ProcessNoise
-from camcal.estimate.tracking.segments import GateOptions
-from camcal.estimate.tracking.track import GAP, MEASURED, PREDICTED, REJECTED, TrackOptions, track_poses
+from camcal.estimate.tracking.track import GAP, MEASURED, PREDICTED, REJECTED, TrackOptions, track_poses, track_views
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose, Trajectory
 
@@ -72,27 +72,61 @@ def test_innovations_are_white_and_of_the_size_that_is_claimed():
     assert abs(judged.autocorrelation) < 0.1
 
 
-def small_tag(seed, frames=150):
-    """Return stamps, rotations and the poses of single frames of a tag of 22 px at 4 m, with both of its poses."""
+def small_tag(seed, frames=150, reach=0.3, noise_px=0.5):
+    """Return stamps, rotations, camera, views and single poses of a tag of 22 px at 4 m, with both of its poses.
+
+    reach: rad, by which it sways.
+    """
     rng, stamps, focal = np.random.default_rng(seed), np.arange(frames) / 30, 880.0
     camera = Camera(model_named("pinhole"), (1280, 960), np.array([focal, focal, 640.0, 480.0]))
     corners = 0.05 * np.array([[-1.0, 1, 0], [1, 1, 0], [1, -1, 0], [-1, -1, 0]])
     waves = np.sin(stamps[:, None] * rng.uniform(0.3, 1.5, 6) + rng.uniform(0, 6, 6))
-    rotations = so3.exp(waves[:, :3] * 0.3) @ so3.about_x(np.pi - 0.2)
+    rotations = so3.exp(waves[:, :3] * reach) @ so3.about_x(np.pi - 0.2)
     seen = np.einsum("nij,pj->npi", rotations, corners) + (waves[:, 3:] * [0.5, 0.3, 0.2] + [0, 0, 4.0])[:, None]
-    pixels = focal * seen[..., :2] / seen[..., 2:] + [640, 480] + rng.normal(0, 0.5, (frames, 4, 2))
+    pixels = focal * seen[..., :2] / seen[..., 2:] + [640, 480] + rng.normal(0, noise_px, (frames, 4, 2))
     views = [Correspondences(str(frame), corners, each) for frame, each in enumerate(pixels)]
-    return stamps, rotations, [one.value for one in estimate_poses(camera, views, PoseOptions(noise_px=0.5))]
+    poses = [one.value for one in estimate_poses(camera, views, PoseOptions(noise_px=noise_px))]
+    return stamps, rotations, camera, views, poses
+
+
+def off(track, rotations):
+    return so3.angle_between(track.rotations, rotations) > np.radians(10)
 
 
 @pytest.mark.parametrize("seed", [6, 7, 8])
-def test_a_track_of_poses_that_may_follow_the_mirrored_ones_says_with_which_probability(seed):
-    stamps, rotations, poses = small_tag(seed)
-    track = track_poses(stamps, poses)
-    wrong = so3.angle_between(track.rotations, rotations) > np.radians(10)
-    assert track.consistency.verdict == "ambiguous"
-    assert track.ambiguous
-    assert np.mean(wrong & (track.p_wrong < 0.01)) < 0.3  # all are where nothing is said
+def test_poses_of_a_small_tag_are_followed_along_the_right_branch(seed):
+    stamps, rotations, _, _, poses = small_tag(seed)
+    assert off(track_poses(stamps, poses), rotations).mean() < 0.05
+    singles = np.array([each.transform.rotation for each in poses])
+    assert np.mean(so3.angle_between(singles, rotations) > np.radians(10)) > 0.2  # what the frames alone say
+
+
+def test_a_wrong_branch_of_poses_that_hardly_move_is_stated():
+    wrong, said, unsaid = [], [], []
+    for seed in range(4):
+        stamps, rotations, _, _, poses = small_tag(seed, frames=90, reach=0.05)
+        track = track_poses(stamps, poses)
+        wrong.append(off(track, rotations))
+        said.append(track.p_wrong)
+        unsaid.append(wrong[-1] & (track.p_wrong < 0.05))
+        assert track.consistency.verdict == "ambiguous" or track.p_wrong.mean() < 0.03
+    assert np.mean(unsaid) < 0.05
+    assert np.mean(said) > 0.3 * np.mean(wrong)
+
+
+def test_poses_a_second_apart_are_no_wrong_ones_because_nothing_foretells_them():
+    rng = np.random.default_rng(5)
+    stamps = np.arange(8.0)
+    turns = so3.exp(rng.normal(0, 0.4, (8, 3))) @ MIDDLE.rotation
+    truth = Trajectory("camera_T_object", stamps, turns, MIDDLE.translation + rng.normal(0, 0.15, (8, 3)))
+    track = follow(truth, glances(truth, rng, scale=1e-2), noise=ProcessNoise(1.0, 1.0))
+    assert track.count(MEASURED) >= 7
+
+
+@pytest.mark.slow
+def test_a_pass_that_starts_on_the_wrong_branch_is_corrected_by_the_one_in_reverse():
+    stamps, rotations, camera, views, poses = small_tag(1, frames=90)
+    assert off(track_views(camera, stamps, views, poses), rotations).mean() < 0.05
 
 
 def test_a_track_of_poses_without_a_doubt_is_not_called_ambiguous():
@@ -102,10 +136,11 @@ def test_a_track_of_poses_without_a_doubt_is_not_called_ambiguous():
     assert track.consistency.verdict != "ambiguous"
 
 
-def test_noise_larger_than_claimed_is_called_overconfident():
+def test_noise_larger_than_claimed_is_found_as_vibration():
     truth, rng = drift()
-    judged = follow(truth, glances(truth, rng, scale=1.6)).consistency
-    assert judged.verdict == "overconfident"
+    track = follow(truth, glances(truth, rng, scale=1.6))
+    assert track.jitter_std.any
+    assert track.consistency.mean_nis == pytest.approx(1.0, abs=0.15)
 
 
 def test_missing_frames_and_outliers_are_survived_and_outliers_named():
@@ -227,17 +262,17 @@ def test_a_causal_track_does_not_change_when_frames_are_added():
     truth, rng = drift()
     seen = glances(truth, rng, dropped=0.1)
     short, long = (track_poses(STAMPS[:n], seen[:n], TrackOptions(Q, lag=0)) for n in (60, 90))
-    np.testing.assert_array_equal(short.translations, long.translations[:60])
-    np.testing.assert_array_equal(short.covariances, long.covariances[:60])
-    assert not long.posed[:20].any()  # until its start is settled, 25 frames later
+    np.testing.assert_allclose(short.translations, long.translations[:60], rtol=1e-12)
+    np.testing.assert_allclose(short.covariances, long.covariances[:60], rtol=1e-9)
+    assert long.posed[:20].sum() > 10
 
 
 def test_a_lag_longer_than_the_track_is_the_smoother():
     truth, rng = drift()
     seen = glances(truth, rng)
     lagged, smooth = follow(truth, seen, lag=200), follow(truth, seen)
-    np.testing.assert_allclose(lagged.translations, smooth.translations, atol=1e-12)
-    np.testing.assert_allclose(lagged.covariances, smooth.covariances, atol=1e-12)
+    np.testing.assert_allclose(lagged.translations, smooth.translations, atol=1e-6)
+    assert so3.angle_between(lagged.rotations, smooth.rotations).max() < 1e-3  # linear about the filter's rotations
 
 
 def test_a_lag_changes_nothing_that_lies_further_back():
@@ -279,12 +314,11 @@ def test_three_detections_far_apart_are_no_track():
         follow(truth, kept)
 
 
-def test_a_track_too_short_to_settle_without_look_ahead_is_none():
+def test_a_causal_track_gives_the_first_poses_at_once():
     truth, rng = drift()
     seen = glances(truth, rng)
     seen[4:] = [None] * (len(seen) - 4)
-    with pytest.raises(InsufficientData, match="no initial pose found within 0 frames"):
-        follow(truth, seen, lag=0)
+    assert follow(truth, seen, lag=0).posed[:4].all()
 
 
 def test_three_detections_are_a_track():
@@ -305,7 +339,7 @@ def test_a_still_object_is_followed_with_hardly_any_noise():
     rng = np.random.default_rng(5)
     truth = motion.drifting(STAMPS[:30], MIDDLE, (1e-16, 1e-16), rng)
     track = track_poses(truth.stamps, glances(truth, rng), TrackOptions())
-    assert track.noise.translation < 1e-4
+    assert track.noise.translation * (track.noise.fading or 1) ** 2 < 1e-4  # m²/s³
     assert rms(truth, track)[1] < 0.6 * np.linalg.norm(NOISE[3:])
 
 
