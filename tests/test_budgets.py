@@ -13,9 +13,41 @@ from test_layers import PACKAGE, modules, room
 
 from camcal.formats import detections
 
-LINES = {"calibrate": 0}
-PARTS = {"modules": 0, "records": 0, "records named in one module": 0, "short functions with one reference": 0}
-PASSED = {"modules": 0, "functions": 0, "records": 0}  # from a table of detections to a camera file
+LINES = {
+    "__init__": 37,
+    "__main__": 6,
+    "arrays": 42,
+    "brief": 80,
+    "calibrate": 7226,
+    "cameras": 2131,
+    "cli": 3501,
+    "errors": 137,
+    "estimate": 8817,
+    "files": 393,
+    "folders": 130,
+    "formats": 9461,
+    "geometry": 986,
+    "images": 1914,
+    "messages": 217,
+    "opencv": 123,
+    "optics": 313,
+    "options": 400,
+    "parsing": 67,
+    "progress": 95,
+    "quality": 1440,
+    "raw": 5143,
+    "report": 6694,
+    "run": 3643,
+    "simulate": 1719,
+    "solve": 1667,
+    "stereo": 5137,
+    "system": 131,
+    "targets": 7342,
+    "tasks": 22076,
+    "urls": 99,
+}
+PARTS = {"modules": 473, "records": 655, "records named in one module": 196, "short functions with one reference": 560}
+PASSED = {"modules": 147, "functions": 1055, "records": 118}  # from a table of detections to a camera file
 SHORT = 5  # lines of a function's body, which could as well stand where it is called
 
 

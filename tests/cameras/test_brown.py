@@ -238,4 +238,4 @@ def test_colours_differ_in_size_and_place_first_then_in_the_lowest_terms():
 def test_a_tilt_of_a_right_angle_is_the_most_that_a_file_may_have():
     limits = FAMILY["opencv14"].limits
     assert limits["tau_x"] == limits["tau_y"] == (-np.pi / 2, np.pi / 2)
-    assert limits["k1"] == (-np.inf, np.inf)
+    assert limits["k1"] == (-LARGEST, LARGEST)
