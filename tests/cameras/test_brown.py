@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 
 from camcal.cameras.brown import MODELS
 from camcal.cameras.catalogue import model_named
+from camcal.parsing import LARGEST
 
 FAMILY = {model.name: model for model in MODELS}
 COEFFICIENTS = FAMILY["opencv14"].parameter_names[4:]
