@@ -13,6 +13,7 @@ import threading
 import types
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
+from importlib import import_module
 from pathlib import Path
 
 from camcal.errors import EXIT_SIGNAL, FileError
@@ -35,7 +36,9 @@ _MEMBERSHIP = Path("/proc/self/cgroup")
 _PROCESSORS = Path("/proc/cpuinfo")
 _STOPPING = ("SIGTERM", "SIGHUP")
 _UNHEARD_S = 1.5
-_ADDRESS_SPACE = 640 << 20  # bytes: `calibrate` of some views maps 616 MB, most of them libraries
+_ADDRESS_SPACE = 704 << 20  # bytes: `calibrate` of some views maps 680 MB, most of them libraries and their buffers
+_LIBRARIES = ("cv2", "rawpy")
+_BLOCK = 256  # columns of matrices that BLAS takes a buffer for
 _ONE_THREAD = (*BLAS_THREADS, "OPENCV_FOR_THREADS_NUM")
 
 
@@ -99,12 +102,23 @@ def _text(path: Path) -> str:
 def require_address_space() -> None:
     """Raise FileError if this process may not map what the libraries need: they would hang, or end in a traceback.
 
-    OpenBLAS asks for its buffers again and again where it gets none, without Python, so that no signal is heard.
+    OpenBLAS, of which numpy and scipy have one each, asks for a buffer again and again where it gets none, without
+    Python, so that no signal is heard: under a limit both take theirs here, while there is room.
     """
     limit = -1 if resource is None else resource.getrlimit(resource.RLIMIT_AS)[0]
-    if resource is not None and limit != resource.RLIM_INFINITY and limit < _ADDRESS_SPACE:
-        needed = f"camcal needs at least {_ADDRESS_SPACE >> 10} kB, and more for large inputs"
-        raise FileError(f"out of memory: the address space is limited to {limit >> 10} kB (ulimit -v); {needed}")
+    if resource is None or limit == resource.RLIM_INFINITY:
+        return
+    least = f"camcal needs at least {_ADDRESS_SPACE >> 10} kB, and more for large inputs"
+    small = FileError(f"out of memory: the address space is limited to {limit >> 10} kB (ulimit -v); {least}")
+    if limit < _ADDRESS_SPACE:
+        raise small
+    try:
+        for name in _LIBRARIES:
+            import_module(name)
+        square = import_module("numpy").eye(_BLOCK)
+        import_module("scipy.linalg").cho_solve((square, True), square @ square)
+    except (ImportError, MemoryError) as error:
+        raise small from error
 
 
 class Stopped(BaseException):
