@@ -37,7 +37,7 @@ LINES = {
     "quality": 1440,
     "raw": 5143,
     "report": 6694,
-    "run": 3657,
+    "run": 3656,
     "simulate": 1719,
     "solve": 1667,
     "stereo": 5137,

@@ -23,7 +23,6 @@ from typing import Any, ParamSpec, TypeVar
 
 from camcal import files
 from camcal.errors import FileError, InvalidInput, reason
-from camcal.files import STANDARD
 from camcal.folders import KNOWN, OutputFolders, require_writable
 from camcal.options import Declared, declared
 from camcal.parsing import in_one_line
@@ -178,7 +177,7 @@ class Run:
 
     def claim(self, outputs: Iterable[Path], *, elsewhere: bool) -> None:
         """Check outputs and list them in their folders; see the function of this name."""
-        paths = [path for path in outputs if str(path) != STANDARD]
+        paths = [path for path in outputs if str(path) != files.STANDARD]
         self._hold_folders(paths)
         self._examine(paths)
         for path in paths:
@@ -187,7 +186,7 @@ class Run:
 
     def plan(self, path: Path) -> None:
         """Check an output; raises InvalidInput or FileError if it must not or cannot be written."""
-        if str(path) == STANDARD:
+        if str(path) == files.STANDARD:
             return
         place = path.absolute()
         with files.unwatched():

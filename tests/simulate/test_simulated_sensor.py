@@ -14,7 +14,7 @@ from camcal.simulate.mosaics import (
     even_frame,
     expose,
     exposure_series,
-    filtered,
+    filter_mosaic,
     lenses,
     photograph,
 )
@@ -95,8 +95,8 @@ def test_without_aberration_all_colours_have_one_lens():
 
 def test_a_mosaic_takes_every_sample_from_its_colour():
     images = {colour: np.full((4, 6), value) for value, colour in enumerate("RGB")}
-    assert filtered("GBRG", images)[:2, :2].tolist() == [[1, 2], [0, 1]]
-    assert filtered("BGGR", images)[2:, 4:].tolist() == [[2, 1], [1, 0]]
+    assert filter_mosaic("GBRG", images)[:2, :2].tolist() == [[1, 2], [0, 1]]
+    assert filter_mosaic("BGGR", images)[2:, 4:].tolist() == [[2, 1], [1, 0]]
 
 
 def test_every_colour_of_a_photograph_is_rendered_through_its_own_lens():
