@@ -6,6 +6,7 @@ Each pair goes from two images to a cloud and a page, with all that is written o
 from collections.abc import Generator, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -242,10 +243,7 @@ def _outcomes(
     run = PairRun(rig, options, options.jobs if alone else 1)
     settings = fingerprint.of_settings(options, without=("inputs", "scene", "every", "recursive"))
     facts = [settings, fingerprint.of_file(rig_file), scene.size()]
-
-    def outputs(capture: Capture) -> list[Path]:
-        return list(RunFiles.of(options.output, capture.name, options.clouds).every())
-
+    outputs = partial(_outputs, options)
     pairs: Items[Capture, RunPair] = Items(fingerprint.of_data(facts), _inputs, outputs, RunPair, _named)
     with closing(scene.captures()) as frames:
         yield from resumable(
@@ -258,6 +256,10 @@ def _outcomes(
             what="stereo run",
             progress=progress,
         )
+
+
+def _outputs(options: RunOptions, capture: Capture) -> list[Path]:  # at the top, so that worker processes find it
+    return list(RunFiles.of(options.output, capture.name, options.clouds).every())
 
 
 def _inputs(capture: Capture) -> list[Path | str]:
