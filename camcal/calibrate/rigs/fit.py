@@ -141,13 +141,13 @@ def with_other_models(fit: RigFit, models: Sequence[CameraModel | None], sizes: 
     Source: Burnham & Anderson, Model Selection and Multimodel Inference, 2002, section 4.3.2 (unconditional variance).
     """
     plain, parts, lenses = fit.plain, list(fit.problem.parts), list(fit.plain.state.lenses)
-    for camera, (model, size) in enumerate(zip(models, sizes, strict=True)):
-        if model is not None:
-            lenses[camera] = refit(Camera(parts[camera].model, size, lenses[camera]), model).camera.parameters
-            spread = model.prior_std(size, float(lenses[camera][0]))
-            parts[camera] = replace(parts[camera], model=model, free=np.arange(len(spread)), lens_spread=spread)
-    problem, state = plain.problem.with_parts(parts), replace(plain.state, lenses=tuple(lenses))
     try:
+        for camera, (model, size) in enumerate(zip(models, sizes, strict=True)):
+            if model is not None:
+                lenses[camera] = refit(Camera(parts[camera].model, size, lenses[camera]), model).camera.parameters
+                spread = model.prior_std(size, float(lenses[camera][0]))
+                parts[camera] = replace(parts[camera], model=model, free=np.arange(len(spread)), lens_spread=spread)
+        problem, state = plain.problem.with_parts(parts), replace(plain.state, lenses=tuple(lenses))
         state = minimise(_robust(problem, state), state, _ROUGH).state
         other = estimate_rig(problem, state, plain.additional, plain.known, plain.board, motion=plain.motion)
     except (SingularError, InsufficientData, np.linalg.LinAlgError):

@@ -143,13 +143,13 @@ def screenshots(seen: BoardViews, options: CalibrateOptions, progress: Progress)
     if not views or seen.table or max(off_drawing(view, seen.board) for view in views.values()) > FRONTAL:
         return None
     in_videos = {name for video in seen.videos for name in video.names}
-    files = {seen.files.get(name, Path(name)).as_posix(): name for name in views if name not in in_videos}
+    named = {seen.files.get(name, Path(name)).as_posix(): name for name in views if name not in in_videos}
     videos = [video.only(views) for video in seen.videos]
-    material = Material([*map(Path, files)], videos, options.reading, options.jobs, options.batch, progress)
+    material = Material([*map(Path, named)], videos, options.reading, options.jobs, options.batch, progress)
     levels = 0
     try:
         for name, source in material.sample(SAMPLE).sources():
-            view = views[files.get(name, name)]
+            view = views[named.get(name, name)]
             levels = max(levels, gray_levels(gray_of(source, options.reading), view.pixels))
     except CamcalError:
         return None
