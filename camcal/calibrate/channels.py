@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from camcal.arrays import Array, FloatArray, readonly
 from camcal.calibrate.intrinsics import Calibration
@@ -257,6 +257,6 @@ def _simplest(problem: _LensProblem, full: Solution[Array], main_sigma: float) -
             continue
         trial = replace(problem, free=free)
         solution = minimise(trial, problem.start)
-        if solution.converged and chi2.sf(2 * share * (solution.cost - full.cost), dof) > _SIGNIFICANCE:
+        if solution.converged and chdtrc(dof, 2 * share * (solution.cost - full.cost)) > _SIGNIFICANCE:
             return trial, solution
     return problem, full

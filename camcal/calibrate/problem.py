@@ -224,6 +224,10 @@ class BoardProblem:
         size = POSE + (0 if effects is None else effects.shape[1])
         return assemble(blocks, self.shared, len(self.observations.ids), size)
 
+    def camera_points(self, state: State) -> Array:
+        """Return the board's points in the camera frame (3, V, P)."""
+        return self._points(state)[1]
+
     def _points(self, state: State) -> tuple[Array, Array]:
         """Return the board's points rotated and in the camera frame, both (3, V, P)."""
         rotated = rotated_points(state.rotations, self.board_points(state).T[:, self.observations.ids])

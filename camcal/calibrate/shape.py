@@ -112,6 +112,14 @@ def first_scales() -> dict[str, Scale]:
     return {name: Scale(own.median, own.median, 0.0, 0.5) for name, own in (CLASSES | CORNER_CLASSES).items()}
 
 
+def scales_towards(scales: Mapping[str, Scale], others: Mapping[str, Scale], share: float) -> dict[str, Scale]:
+    """Return the scales with others, the effective ones a share of the way to these, in logarithms."""
+    return dict(scales) | {
+        name: replace(own, effective=scales[name].effective * (own.effective / scales[name].effective) ** share)
+        for name, own in others.items()
+    }
+
+
 def with_terms(problem: BoardProblem, state: State) -> tuple[BoardProblem, State]:
     """Return problem and state with every term of the board's shape; known coefficients are kept."""
     known = dict(zip(problem.terms, state.shape, strict=True))

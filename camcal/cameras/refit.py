@@ -42,6 +42,14 @@ def refit(camera: Camera, model: CameraModel) -> Refit:
     return _judged(camera, Camera(model, camera.image_size, found.state))
 
 
+def fit_lens(model: CameraModel, rays: Array, pixels: Array, start: Array) -> Array | None:
+    """Return the parameters (K,) of a lens whose pixels come nearest to those (N, 2) of rays (N, 3), None where the
+    lens has no image of one of them at the start (K,).
+    """
+    problem = _Refit(model, rays, pixels)
+    return None if problem.blocks(start) is None else minimise_dense(problem, start, DenseMethod()).state
+
+
 def _judged(camera: Camera, fitted: Camera) -> Refit:
     """Return a fitted camera with its differences on rays that it was not fitted to."""
     rays, pixels = _samples(camera, _CHECKED)

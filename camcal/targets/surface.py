@@ -7,6 +7,7 @@ for.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 import numpy as np
 
@@ -102,8 +103,9 @@ class Surface(Brief):
         return np.asarray(points if self.offsets is None else points + self.offsets)
 
 
+@lru_cache(maxsize=64)
 def basis(board: Board, terms: tuple[str, ...]) -> Array:
-    """Return the displacement (C, 3, S) of every point per unit of every term."""
+    """Return the displacement (C, 3, S) of every point per unit of every term, read-only."""
     centred = board.points()[:, :2] - np.array(board.extent) / 2
     x, y = normalised(board).T
     result = np.zeros((board.count, 3, len(terms)))
@@ -119,6 +121,7 @@ def basis(board: Board, terms: tuple[str, ...]) -> Array:
         else:
             degree_x, degree_y = _DEGREES[term]
             result[:, 2, index] = _legendre(degree_x, x) * _legendre(degree_y, y)
+    result.setflags(write=False)
     return result
 
 

@@ -155,8 +155,10 @@ class _Corners:
         return moved
 
     def enough(self, tried: Trial) -> Array:
-        """Return after which steps (A,) a corner stays where it is, and its picture has come to its level."""
-        level = tried.taken & (tried.fall <= _LEVEL * tried.before.cost)
+        """Return after which steps (A,) a corner stays where it is, and its picture has come to its level: a step so
+        small that does not lower the cost is no reason to look for a smaller one.
+        """
+        level = np.abs(tried.fall) <= _LEVEL * tried.before.cost
         small = self._small(tried.before, tried.which, _SETTLED_PX, _SETTLED)
         return np.asarray(level & (_length(tried.steps) < small))
 

@@ -26,7 +26,7 @@ from camcal.messages import Message, counted
 from camcal.options import command_line
 from camcal.progress import SILENT, Progress, warn_of
 from camcal.quality.assess import Assessment
-from camcal.quality.lens_choice import rank_models
+from camcal.quality.lens_choice import judge, rank_models
 from camcal.quality.projection_uncertainty import ProjectionUncertainty, too_uncertain
 from camcal.raw.detection_image import COLOURS
 from camcal.report.calibration import as_data, candidates_data, headline, uncertainty_data
@@ -229,11 +229,15 @@ def _write_figures(
 def _brief(
     seen: BoardViews, how: intrinsics.Options, choose: bool, circle: ImageCircle | None, progress: Progress
 ) -> Calibration | None:
-    """Return a brief calibration that expects corners well enough to measure them again, None where there is none."""
+    """Return a brief calibration that expects corners well enough to measure them again, None where there is none: of
+    the lens models that may be chosen, the default one will do where it passes.
+    """
     progress.start("solving", None)
     views, board = seen.detections.views, seen.board
     try:
-        found = compared(views, board, how, circle) if choose else compare_models(views, board, how, [how.model])
+        found = judge(compare_models(views, board, how, [how.model]), circle)
+        if choose and (found[0].calibration is None or found[0].failures):
+            found = compared(views, board, how, circle)
         return rank_models(found, DEFAULT_MODEL)[0].calibration
     finally:
         progress.finish()

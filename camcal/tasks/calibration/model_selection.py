@@ -99,7 +99,7 @@ def select(
         if taken is not None and (own.failures or len(refused) >= _TRIES):
             break
         try:
-            calibration = intrinsics.calibrate(views, board, replace(options, model=model_named(own.name)))
+            calibration = intrinsics.calibrate(views, board, replace(options, model=model_named(own.name)), own.fit)
         except _FAILURES as error:
             failure = failure or error
             continue
