@@ -18,7 +18,7 @@ from camcal.cameras.model import Camera
 from camcal.cameras.validity import ImageCircle
 from camcal.errors import InvalidInput
 from camcal.images.image import Scratch
-from camcal.images.limits import require_view
+from camcal.images.options import require_view
 from camcal.opencv import LONGEST_REMAPPED, remap
 
 NEAREST_TRUNCATE = "nearest-truncate"

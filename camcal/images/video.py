@@ -10,8 +10,8 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.errors import FileError
-from camcal.images import limits
 from camcal.images.image import Image
+from camcal.images.options import require_pixels
 from camcal.urls import local
 
 BARE_SUFFIXES = frozenset({".mjpeg", ".mjpg", ".h264", ".264", ".h265", ".265", ".hevc"})  # pictures without times
@@ -49,7 +49,7 @@ def _opened(path: Path) -> Iterator[cv2.VideoCapture]:
             raise FileError("not a readable video, or truncated", where=str(path))
         sides = (capture.get(side) for side in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
         width, height = map(int, sides)
-        limits.require_pixels((width, height), path)
+        require_pixels((width, height), path)
         yield capture
     finally:
         capture.release()

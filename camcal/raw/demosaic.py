@@ -18,12 +18,11 @@ import numpy as np
 from camcal.arrays import Array, PixelArray
 from camcal.errors import InvalidInput
 from camcal.raw.dng import dng_bytes
-from camcal.raw.linear_filters import bilinear, edge_aware, green, half, malvar
+from camcal.raw.filters import bilinear, edge_aware, green, half, malvar, vng
 from camcal.raw.mosaic import Mosaic, cell_side, full_scale, is_x_trans
 from camcal.raw.names import AUTO, GRAY, GREEN, HALF, LIBRAW, MONO, NONE, RI
 from camcal.raw.planes import Each, one_by_one, rounded
 from camcal.raw.residual import residual_interpolation
-from camcal.raw.vng import vng
 
 X_TRANS_NAME = "AHD"  # under this name LibRaw runs Markesteijn's filter on X-Trans
 

@@ -14,11 +14,10 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.errors import InvalidInput, Located
 from camcal.files import read_bytes
+from camcal.images.files import gray_8bit, gray_levels, load
 from camcal.images.image import RAW_SUFFIXES, Image
-from camcal.images.load import gray_8bit, gray_levels, load
-from camcal.raw.colour import balance_in_place
 from camcal.raw.demosaic import demosaic
-from camcal.raw.develop import linearise
+from camcal.raw.develop import balance_in_place, linearise
 from camcal.raw.frame_facts import check_phase
 from camcal.raw.mosaic import Mosaic, by_place, sites
 from camcal.raw.names import GRAY, GREEN, MONO, PATTERNS

@@ -16,9 +16,10 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.errors import FileError, InvalidInput, Located
 from camcal.files import read_bytes
-from camcal.images import exif, limits
+from camcal.images import exif
 from camcal.images.exif import JPEG, PNG, read_jpeg
-from camcal.images.load import load, png_has_colour
+from camcal.images.files import load, png_has_colour
+from camcal.images.options import require_pixels
 from camcal.raw.headerless import read_headerless
 from camcal.raw.mosaic import Capture, Mosaic, cell_side, full_scale, is_x_trans, phases, require_pattern
 from camcal.raw.names import MONO, PATTERNS
@@ -96,7 +97,7 @@ def read_camera_raw(path: Path, content: bytes | None = None) -> Mosaic:
         raise FileError(f"truncated: refers to data beyond its {len(content)} bytes", where=str(path))
     try:
         with rawpy.imread(BytesIO(content)) as raw:
-            limits.require_pixels((raw.sizes.raw_width, raw.sizes.raw_height), path)
+            require_pixels((raw.sizes.raw_width, raw.sizes.raw_height), path)
             if raw.raw_type != rawpy.RawType.Flat:
                 raise InvalidInput(
                     "has full colour in every pixel (linear DNG, sRAW or Foveon), no mosaic: it is demosaiced already; "

@@ -13,7 +13,7 @@ from camcal.cameras.model import Camera
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
-from camcal.images.save import save
+from camcal.images.files import save
 from camcal.options import given_words
 from camcal.raw.demosaic import demosaic
 from camcal.raw.detection_image import agreeing_gains, detection_image_of, read_detection_image

@@ -26,7 +26,7 @@ from camcal.targets.checker import grid as grids
 from camcal.targets.checker.checker import Checker, clear_corners, trimmed, verified_corners, with_hidden_corners
 from camcal.targets.checker.proposals import proposals
 from camcal.targets.detection import MIN_CORNERS, BoardDetection
-from camcal.targets.markers.families import family_named
+from camcal.targets.pattern import family_named
 
 WRONG_BITS = 12  # one of so many may be read wrong
 BORDER = 0.8  # share of the border's cells that must be dark

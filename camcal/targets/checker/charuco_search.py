@@ -32,7 +32,7 @@ from camcal.targets.checker.charuco import (
 )
 from camcal.targets.checker.checker import Checker, trimmed, verified_corners
 from camcal.targets.checker.proposals import proposals
-from camcal.targets.markers.families import family_named
+from camcal.targets.pattern import family_named
 
 # The largest of each family: the smaller ones of OpenCV are its first markers
 _SIZES = (50, 100, 250, 1000)

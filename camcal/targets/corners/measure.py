@@ -19,8 +19,7 @@ from camcal.targets.board_types import TAG_BORDER, dotted_squares
 from camcal.targets.corners.cells import CROWDED, LONGEST_PX, Beside, Cells
 from camcal.targets.corners.refine import RefinedCorners, refine
 from camcal.targets.detection import MIN_CORNERS, BoardDetection, MaskedImage
-from camcal.targets.markers.families import family_named
-from camcal.targets.pattern import DOT
+from camcal.targets.pattern import DOT, family_named
 
 LARGEST_NOISE = 0.4  # of the contrast; what is left over of a corner that is none is more
 LARGEST_STD_PX = 0.5  # of a corner that is one
@@ -271,7 +270,7 @@ _DRAWN = 0.5  # px that a corner which was found may move: further, it was anoth
 class Expected:
     """What a calibration expects of an image: the pixels (C, 2) of all points of the board and their cells.
 
-    inside: (C,) which of them are in the image, with room for a window. signs: (C,) see board_edges.signs.
+    inside: (C,) which of them are in the image, with room for a window. signs: (C,) see `signs`.
     """
 
     pixels: Array

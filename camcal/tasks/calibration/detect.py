@@ -9,7 +9,7 @@ from typing import Any
 from camcal.arrays import Array
 from camcal.errors import CamcalError, FileError, InvalidInput
 from camcal.formats import boards, detections, native_entry
-from camcal.images.save import KINDS, save
+from camcal.images.files import KINDS, save
 from camcal.messages import Message
 from camcal.progress import SILENT, Progress, values_of, warn_of
 from camcal.raw.detection_image import is_raw, read_detection_image

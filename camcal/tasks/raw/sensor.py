@@ -36,8 +36,8 @@ from camcal.run.outputs import writes
 from camcal.run.paths import find_images
 from camcal.tasks.figure_files import figure_data, write_figures
 from camcal.tasks.plot_documents import SENSOR
+from camcal.tasks.raw.demosaic import read_frame
 from camcal.tasks.raw.options import RawInput, SensorOptions
-from camcal.tasks.raw.raw_corrections import read_frame
 
 _EXPOSURE = re.compile(r"(?:^|[_ -])([0-9]+(?:\.[0-9]+)?) ?(us|ms|s)(?:$|[_ -])", re.IGNORECASE)
 _ISO = re.compile(r"(?:^|[_ -])iso ?([0-9]+)(?:$|[_ -])", re.IGNORECASE)

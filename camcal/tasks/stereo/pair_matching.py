@@ -10,7 +10,7 @@ import numpy as np
 
 from camcal.arrays import Array, PixelArray
 from camcal.errors import InvalidInput
-from camcal.images.load import load
+from camcal.images.files import load
 from camcal.messages import Message
 from camcal.raw.planes import one_by_one
 from camcal.run.fanout import over_threads

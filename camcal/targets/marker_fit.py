@@ -25,7 +25,7 @@ from camcal.solve.least_squares import Solution, minimise
 from camcal.solve.losses import Huber
 from camcal.solve.steps import Block, Jacobian, SingularError, Step
 from camcal.targets.board_map import apply_homography
-from camcal.targets.markers.families import MarkerDrawing
+from camcal.targets.pattern import MarkerDrawing
 
 BENDS = 6
 CORNERS = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])  # clockwise from the top-left
