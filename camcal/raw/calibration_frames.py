@@ -94,7 +94,11 @@ def stack(frames: Iterable[Array]) -> Stack:
         for extreme in extremes.astype(np.float64):
             sums[0] -= extreme
             sums[1] -= extreme * extreme
-    return Stack(count, sums[0] / kept, _deviation(sums[0], sums[1], kept))
+    mean, deviation = sums[0] / kept, np.full(sums[0].shape, np.nan, np.float32)
+    if kept > 1:
+        variance = (sums[1] - sums[0] * sums[0] / kept) / (kept - 1)
+        deviation = np.asarray(np.sqrt(np.maximum(variance, 0)), np.float32)
+    return Stack(count, mean, deviation)
 
 
 def dark_average(frames: Iterable[Array], white: float) -> Array:
@@ -121,13 +125,6 @@ def _require_frame(frame: Array, shape: tuple[int, ...], number: int) -> Array:
     if frame.dtype.kind == "f" and not np.isfinite(exact).all():
         raise InvalidInput(f"frame {number}: {np.count_nonzero(~np.isfinite(exact))} pixels are not finite")
     return exact
-
-
-def _deviation(total: Array, squares: Array, count: int) -> Array:
-    if count == 1:
-        return np.full(total.shape, np.nan, np.float32)
-    variance = (squares - total * total / count) / (count - 1)
-    return np.asarray(np.sqrt(np.maximum(variance, 0)), np.float32)
 
 
 def flat_gain(flat: Array, pattern: str, smoothing: float = 0.0) -> Array:
@@ -184,7 +181,12 @@ def read_map(path: Path, size: tuple[int, int]) -> Array:
     if suffix in MASK_SUFFIXES:
         mask = _fitting(load(path).pixels, size, path)
     elif suffix == ".npy":
-        mask = _mask_of_array(read_npy(path, kinds="bui"), size, path)
+        values = read_npy(path, kinds="bui")
+        if values.ndim == 2 and values.shape[1] == 2 and size[0] != 2:
+            points = ((x, y, f"{path}: entry {n}") for n, (x, y) in enumerate(values.tolist()))
+            mask = _mask_of_points(points, size)
+        else:
+            mask = _fitting(values, size, path)
     else:
         mask = _mask_of_points(_parse(path), size)
     return readonly(mask, (None, None), "bad pixel map", bool)
@@ -269,12 +271,6 @@ def _parse(path: Path) -> Iterator[tuple[int, int, str]]:
         yield int(match[1]), int(match[2]), where
 
 
-def _mask_of_array(values: Array, size: tuple[int, int], path: Path) -> Array:
-    if values.ndim == 2 and values.shape[1] == 2 and size[0] != 2:
-        return _mask_of_points(((x, y, f"{path}: entry {n}") for n, (x, y) in enumerate(values.tolist())), size)
-    return _fitting(values, size, path)
-
-
 def _mask_of_points(points: Iterable[tuple[int, int, str]], size: tuple[int, int]) -> Array:
     width, height = size
     mask = np.zeros((height, width), bool)
@@ -293,22 +289,21 @@ def _fitting(values: Array, size: tuple[int, int], path: Path) -> Array:
 
 
 def _outliers(values: Array, block: int) -> Array:
-    """Return which values (h, w) in counts, of one place of the cell, are far off the others."""
-    residual = values - _background(values, block)
+    """Return which values (h, w) in counts, of one place of the cell, are far off the others.
+
+    Medians over blocks are taken off first, interpolated and continued straight beyond the last centres.
+    """
+    (height, rows), (width, columns) = ((length, max(1, length // block)) for length in values.shape)
+    tall, wide = height // rows, width // columns
+    blocks = values[: rows * tall, : columns * wide].reshape(rows, tall, columns, wide)
+    medians = np.median(blocks.swapaxes(1, 2).reshape(rows, columns, -1), axis=2)
+    background = _interpolation(height, rows) @ medians @ _interpolation(width, columns).T
+    residual = values - np.asarray(background, np.float32)
     step = max(1, residual.size // _SAMPLES)
     residual -= np.median(residual.ravel()[::step])
     distance = np.abs(residual, out=residual)
     sigma = max(_SIGMA_PER_MAD * float(np.median(distance.ravel()[::step])), _ROUNDING)
     return np.asarray(distance > _OUTLIER * sigma)
-
-
-def _background(values: Array, block: int) -> Array:
-    """Return medians over blocks, interpolated to all values (h, w) and continued straight beyond the last centres."""
-    (height, rows), (width, columns) = ((length, max(1, length // block)) for length in values.shape)
-    tall, wide = height // rows, width // columns
-    blocks = values[: rows * tall, : columns * wide].reshape(rows, tall, columns, wide)
-    medians = np.median(blocks.swapaxes(1, 2).reshape(rows, columns, -1), axis=2)
-    return np.asarray(_interpolation(height, rows) @ medians @ _interpolation(width, columns).T, np.float32)
 
 
 def _interpolation(length: int, blocks: int) -> Array:

@@ -21,8 +21,8 @@ from camcal.raw.dng import dng_bytes
 from camcal.raw.filters import bilinear, edge_aware, green, half, malvar, vng
 from camcal.raw.mosaic import Mosaic, cell_side, full_scale, is_x_trans
 from camcal.raw.names import AUTO, GRAY, GREEN, HALF, LIBRAW, MONO, NONE, RI
-from camcal.raw.planes import Each, one_by_one, rounded
 from camcal.raw.residual import residual_interpolation
+from camcal.raw.tiles import Each, one_by_one, rounded
 
 X_TRANS_NAME = "AHD"  # under this name LibRaw runs Markesteijn's filter on X-Trans
 
@@ -78,7 +78,9 @@ def demosaic(
         each,
     )
     if algorithm.startswith(LIBRAW):
-        return _by_libraw(job, algorithm.removeprefix(LIBRAW))
+        counts, scale = _sixteen_bits(job)  # LibRaw works on 16 bits; others are scaled there and back
+        colour = demosaic_with_libraw(counts, pattern, algorithm.removeprefix(LIBRAW)) / scale
+        return np.asarray((colour if values.dtype == np.float32 else np.rint(colour)).astype(values.dtype))
     if is_x_trans(pattern) and algorithm != NONE:
         raise InvalidInput(
             f"{algorithm} is for Bayer sensors, this is X-Trans; use auto, {LIBRAW}{X_TRANS_NAME}, or none"
@@ -112,13 +114,6 @@ def resolved(algorithm: str, pattern: str) -> str:
     if pattern == MONO:
         return NONE
     return f"{LIBRAW}{X_TRANS_NAME}" if is_x_trans(pattern) else RI
-
-
-def _by_libraw(job: Job, name: str) -> Array:
-    """Return the colour that LibRaw makes; it works on 16 bits, so that others are scaled there and back."""
-    counts, scale = _sixteen_bits(job)
-    colour = demosaic_with_libraw(counts, job.pattern, name) / scale
-    return np.asarray((colour if job.values.dtype == np.float32 else np.rint(colour)).astype(job.values.dtype))
 
 
 def _sixteen_bits(job: Job) -> tuple[Array, np.float32]:
@@ -215,23 +210,14 @@ def demosaic_with_libraw(values: Array, pattern: str, name: str) -> Array:
         raise InvalidInput(f"LibRaw has one filter for X-Trans: use {X_TRANS_NAME}, it runs Markesteijn's there")
     height, width = values.shape
     side = cell_side(pattern)
-    frame = Mosaic(_enlarged(values, side), pattern, np.zeros((side, side)), _SATURATION)
+    if min(values.shape) < _SMALLEST[side]:  # the last cell is repeated beyond the right and lower edge
+        places = [np.arange(max(length, _SMALLEST[side])) for length in values.shape]
+        ends = zip(places, values.shape, strict=True)
+        values = values[np.ix_(*(np.where(at < end, at, end - side + (at - end) % side) for at, end in ends))]
+    frame = Mosaic(values, pattern, np.zeros((side, side)), _SATURATION)
     with rawpy.imread(BytesIO(dng_bytes(frame))) as raw:
         colour = raw.postprocess(_neutral(rawpy.DemosaicAlgorithm[name]))
     return np.ascontiguousarray(colour[:height, :width, ::-1])
-
-
-def _enlarged(values: Array, side: int) -> Array:
-    """Return the mosaic, its last cell repeated beyond the right and lower edge as far as LibRaw's smallest image."""
-    smallest = _SMALLEST[side]
-    if min(values.shape) >= smallest:
-        return values
-    return values[np.ix_(*(_repeating(length, smallest, side) for length in values.shape))]
-
-
-def _repeating(length: int, smallest: int, side: int) -> Array:
-    places = np.arange(max(length, smallest))
-    return np.where(places < length, places, length - side + (places - length) % side)
 
 
 def _neutral(algorithm: Any) -> Any:

@@ -35,7 +35,7 @@ from camcal.raw.options import (
     Gains,
     gamma_of,
 )
-from camcal.raw.planes import Each, one_by_one, rounded
+from camcal.raw.tiles import Each, one_by_one, rounded
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,9 +56,9 @@ class Corrections:
     def require_size(self, frame: Mosaic) -> None:
         """Raise InvalidInput unless all of them have the frame's size."""
         for name in ("dark", "bad", "flat"):
-            known = getattr(self, name)
-            if known is not None and known.shape != frame.values.shape:
-                sizes = "{}x{}, the frame {}x{}".format(*known.shape[::-1], *frame.size)
+            array = getattr(self, name)
+            if array is not None and array.shape != frame.values.shape:
+                sizes = "{}x{}, the frame {}x{}".format(*array.shape[::-1], *frame.size)
                 raise InvalidInput(f"the {_WORDS[name]} is {sizes}: sizes must be equal")
 
 
@@ -93,43 +93,28 @@ def develop(
     if there is no light to balance white by.
     """
     corrections.require_size(frame)
-    if _keeps_counts(frame, development, corrections):
-        pixels, linear = _from_counts(frame, development, corrections, each)
-        gains = None
-    else:
-        pixels, gains = _from_light(frame, development, corrections, each)
-        linear = development.encoding != "gamma"
-    depth = DTYPES[development.depth] if development.depth else frame.values.dtype
-    return Picture(_finish(pixels, development.tone, depth), gains, linear, clipped_shares(frame))
-
-
-def _keeps_counts(frame: Mosaic, development: Development, corrections: Corrections) -> bool:
-    """Return whether the counts are what is to be demosaiced: already on the full scale of their type, and balanced."""
+    matrix = colour_matrix(frame, development.colour)
+    gains: Gains | None = None
     on_full_scale = not frame.black.any() and frame.white == full_scale(frame.values.dtype)
     untouched = development.is_neutral and not corrections.change_light
-    return on_full_scale and untouched and development.algorithm != GRAY
-
-
-def _from_counts(frame: Mosaic, development: Development, corrections: Corrections, each: Each) -> tuple[Array, bool]:
-    """Return the demosaiced counts, in their own type, and whether they were taken for linear light."""
-    linear = frame.values.dtype != np.uint8 if development.encoding is None else development.encoding == LINEAR
-    values = _repaired(frame.values, frame, corrections)
-    return demosaic(values, frame.pattern, development.algorithm, linear=linear, each=each), linear
-
-
-def _from_light(
-    frame: Mosaic, development: Development, corrections: Corrections, each: Each
-) -> tuple[Array, Gains | None]:
-    """Return the demosaiced light, float32, behind the colour matrix, and the gains of the balance."""
-    matrix = colour_matrix(frame, development.colour)
-    light, gains = balanced_light(frame, development, corrections)
-    linear = development.encoding != "gamma"
-    pixels = demosaic(light, frame.pattern, development.algorithm, linear=linear, each=each)
-    if matrix is None:
-        return pixels, gains
-    if pixels.ndim != 3:
-        raise InvalidInput(f"a colour matrix needs colour, and {development.algorithm} gives one channel")
-    return apply_matrix(pixels, matrix), gains
+    if on_full_scale and untouched and development.algorithm != GRAY:  # demosaiced as counts, in their own type
+        linear = frame.values.dtype != np.uint8 if development.encoding is None else development.encoding == LINEAR
+        values = _repair(frame.values, frame, corrections)
+    else:
+        linear = development.encoding != "gamma"
+        values, gains = balanced_light(frame, development, corrections)
+    pixels = demosaic(values, frame.pattern, development.algorithm, linear=linear, each=each)
+    if matrix is not None:
+        if pixels.ndim != 3:
+            raise InvalidInput(f"a colour matrix needs colour, and {development.algorithm} gives one channel")
+        swapped = np.asarray(matrix[::-1, ::-1], np.float32)  # colours of pixels are blue, green, red
+        pixels = np.asarray(pixels.reshape(-1, 3) @ swapped.T).reshape(pixels.shape)
+    depth = DTYPES[development.depth] if development.depth else frame.values.dtype
+    if development.tone != LINEAR or pixels.dtype != depth:
+        if pixels.dtype != np.float32:
+            pixels = pixels.astype(np.float32) / np.float32(full_scale(pixels.dtype))
+        pixels = quantise(encode(pixels, development.tone), depth)
+    return Picture(pixels, gains, linear, clipped_shares(frame))
 
 
 def negative(frame: Mosaic, development: Development, corrections: Corrections = NO_CORRECTIONS) -> Mosaic:
@@ -143,12 +128,12 @@ def negative(frame: Mosaic, development: Development, corrections: Corrections =
     corrections.require_size(frame)
     untouched = development.is_neutral and not corrections.change_light
     if untouched and frame.values.dtype != np.float32:
-        return replace(frame, values=_repaired(frame.values, frame, corrections))
+        return replace(frame, values=_repair(frame.values, frame, corrections))
     light, gains = balanced_light(frame, development, corrections)
     counts = quantise(light, np.dtype(np.uint16))
-    known = frame.camera_gains if gains is None else None
+    balance = frame.camera_gains if gains is None else None
     return replace(
-        frame, values=counts, black=np.zeros_like(frame.black), white=full_scale(counts.dtype), camera_gains=known
+        frame, values=counts, black=np.zeros_like(frame.black), white=full_scale(counts.dtype), camera_gains=balance
     )
 
 
@@ -157,7 +142,7 @@ def balanced_light(frame: Mosaic, development: Development, corrections: Correct
 
     The balanced mosaic as a gray image needs a balance; without one asked for it is that of a gray world.
     """
-    light = _repaired(linearise(frame, corrections.dark), frame, corrections)
+    light = _repair(linearise(frame, corrections.dark), frame, corrections)
     if corrections.flat is not None:
         light /= corrections.flat
     balance = development.balance
@@ -192,19 +177,8 @@ def clipped_shares(frame: Mosaic) -> tuple[float, ...]:
     )
 
 
-def _repaired(values: Array, frame: Mosaic, corrections: Corrections) -> Array:
+def _repair(values: Array, frame: Mosaic, corrections: Corrections) -> Array:
     return values if corrections.bad is None else calibration_frames.repair(values, corrections.bad, frame.pattern)
-
-
-def _finish(pixels: Array, tone: str, depth: np.dtype[np.generic]) -> Array:
-    """Return the demosaiced pixels behind tone curve and depth."""
-    if tone == LINEAR and pixels.dtype == depth:
-        return pixels
-    return quantise(encode(_light(pixels), tone), depth)
-
-
-def _light(pixels: Array) -> Array:
-    return pixels if pixels.dtype == np.float32 else pixels.astype(np.float32) / np.float32(full_scale(pixels.dtype))
 
 
 # IEC 61966-2-1, table 1: linear sRGB to CIE XYZ, white D65.
@@ -243,12 +217,6 @@ def read_matrix(path: Path) -> Array:
     if numbers.size != 9 or not np.isfinite(numbers).all() or abs(np.linalg.det(numbers.reshape(3, 3))) < 1e-9:
         raise InvalidInput(f"a colour matrix is nine numbers that can be inverted, found {len(words)}", where=str(path))
     return numbers.reshape(3, 3)
-
-
-def apply_matrix(colour: Array, matrix: Array) -> Array:
-    """Return colour (H, W, 3) blue, green, red, float32, behind a matrix (3, 3) of red, green, blue."""
-    swapped = np.asarray(matrix[::-1, ::-1], np.float32)
-    return np.asarray(colour.reshape(-1, 3) @ swapped.T).reshape(colour.shape)
 
 
 DTYPES: Mapping[str, np.dtype[Any]] = MappingProxyType(

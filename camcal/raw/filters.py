@@ -17,8 +17,22 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.raw.mosaic import sites
-from camcal.raw.planes import HERE, Each, Plane, Tile, difference, one_by_one, plus_scaled, weighted
-from camcal.raw.tiling import PLACES, TILE, Bayer, Counts, Missing, TiledMosaic
+from camcal.raw.tiles import (
+    HERE,
+    PLACES,
+    TILE,
+    Bayer,
+    Each,
+    Missing,
+    Plane,
+    Scale,
+    Tile,
+    TiledMosaic,
+    difference,
+    one_by_one,
+    plus_scaled,
+    weighted,
+)
 
 _REACH = 2  # cells
 
@@ -49,7 +63,7 @@ def malvar(
 
     each, tile: see `residual.residual_interpolation`.
     """
-    return TiledMosaic(values, pattern, _REACH, Counts(white)).in_one_pass(_find_by_lines, each, tile)
+    return TiledMosaic(values, pattern, _REACH, Scale(white)).in_one_pass(_find_by_lines, each, tile)
 
 
 def _find_by_lines(tile: Tile, bayer: Bayer) -> Missing:
@@ -247,7 +261,7 @@ def vng(
     """
     if values.dtype == np.uint8:
         return np.minimum(by_opencv(values, _EIGHT_BITS[pattern]), np.uint8(white))
-    return TiledMosaic(values, pattern, _REACH, Counts(white)).in_one_pass(_find_by_gradients, each, tile)
+    return TiledMosaic(values, pattern, _REACH, Scale(white)).in_one_pass(_find_by_gradients, each, tile)
 
 
 def _find_by_gradients(tile: Tile, bayer: Bayer) -> Missing:

@@ -93,7 +93,11 @@ def read_headerless(path: Path, layout: Layout) -> tuple[Array, str]:
     """
     length = length_of(path)
     frame = _chosen_frame(path, length, layout)
-    content = _read_span(path, layout.offset + frame * layout.frame_step, layout.frame_bytes)
+    start = layout.offset + frame * layout.frame_step
+    try:  # nothing else of what may be a long recording
+        content = np.fromfile(path, np.uint8, layout.frame_bytes, offset=start)
+    except OSError as error:
+        raise FileError(f"cannot be read: {error.strerror}", where=str(path)) from error
     order = {"endian": layout.endian, "align": layout.align}
     values = unpack(content, layout.pixel_format, layout.size, stride=layout.stride, **order)
     _require_below_white(path, values, layout)
@@ -156,21 +160,21 @@ def _require_upper_bits(path: Path, words: Array, layout: Layout) -> None:
 
 def _require_likely_bits(path: Path, content: Array, values: Array, layout: Layout) -> None:
     """Raise InvalidInput if pixels of one colour are unlike each other, and alike with another order of the bits."""
-    own, bits = layout.pixel_format, layout.pixel_format.bits
+    stated, bits = layout.pixel_format, layout.pixel_format.bits
     if _likeness(values) >= _UNLIKE:
         return
     other = {"little": "big", "big": "little"}[layout.endian]
     readings = [
         (each, layout.endian, f"--format {each.name}" + ("" if layout.stride is None else f" --stride {layout.stride}"))
         for each in FORMATS
-        if each.bits == bits and (each.pattern, each.packing is None) == (own.pattern, own.packing is None)
-        if each is not own and frame_bytes(each, layout.size, layout.stride) == layout.frame_bytes
+        if each.bits == bits and (each.pattern, each.packing is None) == (stated.pattern, stated.packing is None)
+        if each is not stated and frame_bytes(each, layout.size, layout.stride) == layout.frame_bytes
     ]
-    if own.packing is None and bits > _BYTE:
-        readings.append((own, other, f"--endian {other}"))
+    if stated.packing is None and bits > _BYTE:
+        readings.append((stated, other, f"--endian {other}"))
     for each, endian, words in readings:
-        found = unpack(content, each, layout.size, stride=layout.stride, endian=endian, align=layout.align)
-        if _likeness(found) > _ALIKE:
+        samples = unpack(content, each, layout.size, stride=layout.stride, endian=endian, align=layout.align)
+        if _likeness(samples) > _ALIKE:
             text = f"as {layout}, neighbouring pixels of one colour are unlike each other; {words} fits"
             raise InvalidInput(text, where=str(path))
 
@@ -203,14 +207,6 @@ def length_of(path: Path) -> int:
     if not length:
         raise FileError("is empty", where=str(path))
     return length
-
-
-def _read_span(path: Path, start: int, count: int) -> Array:
-    """Return `count` bytes from `start` on, and nothing else of what may be a long recording."""
-    try:
-        return np.fromfile(path, np.uint8, count, offset=start)
-    except OSError as error:
-        raise FileError(f"cannot be read: {error.strerror}", where=str(path)) from error
 
 
 class CandidateLayout(NamedTuple):

@@ -131,14 +131,11 @@ def pixel_format_named(name: str) -> PixelFormat:
         if matches:
             choices = " or ".join(f"{each.name} ({each.pattern})" for each in matches)
             raise InvalidInput(f"pixel format {name!r} needs its capitals: it may be {choices}")
-    raise InvalidInput(f"pixel format {name!r} is unknown; {_nearest(text)}")
-
-
-def _nearest(name: str) -> str:
-    near = nearest(name, [other for each in FORMATS for other in each.names])
+    near = nearest(text, [other for each in FORMATS for other in each.names])
     hint = f"did you mean {near}? " if near else ""
     suffixes = "|".join(each.suffix for each in _FAMILIES if not each.suffix.startswith("RAW"))
-    return f"{hint}there are Mono and BayerRG|GR|GB|BG with {suffixes}, and SRGGB10_CSI2P (12, 14) for MIPI"
+    choices = f"{hint}there are Mono and BayerRG|GR|GB|BG with {suffixes}, and SRGGB10_CSI2P (12, 14) for MIPI"
+    raise InvalidInput(f"pixel format {name!r} is unknown; {choices}")
 
 
 def row_bytes(pixel_format: PixelFormat, width: int) -> int:

@@ -10,9 +10,8 @@ from bayer import PEAK, by_threads, random_mosaic, sampled, scene
 from camcal.raw import ri_green
 from camcal.raw.demosaic import demosaic
 from camcal.raw.names import PATTERNS
-from camcal.raw.planes import one_by_one
 from camcal.raw.residual import RED_BLUE_REACH, noise_of_green, residual_interpolation
-from camcal.raw.tiling import scale_of
+from camcal.raw.tiles import one_by_one, scale_of
 
 MARGIN = 64  # pixels; more than the filter reaches, and whole windows
 DIAGONALS = [[(1, 1), (-1, -1)], [(1, -1), (-1, 1)]]

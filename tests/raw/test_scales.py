@@ -8,8 +8,7 @@ from hypothesis import strategies as st
 
 from camcal.raw.mosaic import sites
 from camcal.raw.names import PATTERNS
-from camcal.raw.planes import Plane
-from camcal.raw.tiling import Counts, Proportional, Root, scale_of
+from camcal.raw.tiles import Counts, Plane, Proportional, Root, scale_of
 
 UNBALANCED = {"R": 2.5, "G": 1.0, "B": 0.4}
 

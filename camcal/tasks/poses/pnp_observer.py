@@ -24,7 +24,7 @@ from camcal.images.video import frame_name, frames
 from camcal.messages import Message
 from camcal.parsing import did_you_mean
 from camcal.progress import Progress, values_of, warn_of
-from camcal.raw.detection_image import read_detection_image
+from camcal.raw.reading import read_detection_image
 from camcal.report.overlays import Posed, overlay
 from camcal.run.fanout import fan_out
 from camcal.run.outputs import claim

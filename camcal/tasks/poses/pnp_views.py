@@ -17,7 +17,7 @@ from camcal.formats.poses.record import PoseKey
 from camcal.images.video import frames
 from camcal.messages import Message
 from camcal.progress import Progress, warn_of
-from camcal.raw.detection_image import read_detection_image
+from camcal.raw.reading import read_detection_image
 from camcal.run.paths import find_media
 from camcal.targets.board import Board, Surface
 from camcal.targets.detection import BoardDetection

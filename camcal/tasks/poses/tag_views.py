@@ -17,7 +17,7 @@ from camcal.images.image import Image
 from camcal.images.video import frame_name, frames
 from camcal.messages import Message
 from camcal.progress import SILENT, Outcome, Progress, warn_of
-from camcal.raw.detection_image import read_detection_image
+from camcal.raw.reading import read_detection_image
 from camcal.run import fingerprint
 from camcal.run.fanout import fan_out
 from camcal.run.journal import Found, journaled

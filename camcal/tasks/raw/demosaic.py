@@ -41,8 +41,8 @@ from camcal.raw.frame_facts import check_phase, green_diagonal, likely_white, lo
 from camcal.raw.mosaic import Mosaic, channel_names
 from camcal.raw.names import HALF, MONO, PATTERNS
 from camcal.raw.options import BARE_SUFFIXES, GRAY_WORLD, HEADERLESS_SUFFIXES, NO_BALANCE, Balance, Development
-from camcal.raw.planes import Each, one_by_one
 from camcal.raw.reading import missing_pattern, read_mosaic
+from camcal.raw.tiles import Each, one_by_one
 from camcal.run import fingerprint
 from camcal.run.fanout import over_threads
 from camcal.run.outputs import claim, writes

@@ -22,12 +22,11 @@ from camcal.messages import Message
 from camcal.optics.sensor_format import pixel_pitch, sensor_format
 from camcal.options import command_line
 from camcal.progress import SILENT, Progress, values_of, warn_of
-from camcal.raw.emva import Curve, Figure, Figures
+from camcal.raw.emva import DECIBELS_A_STOP, FULL_WELL, Characterisation, Curve, Figure, Figures, characterise
 from camcal.raw.frame_facts import Widened, likely_white, low_peak, used_counts, widened
 from camcal.raw.level import Level, measure_level
 from camcal.raw.mosaic import Mosaic
 from camcal.raw.options import HEADERLESS_SUFFIXES
-from camcal.raw.sensor import DECIBELS_A_STOP, FULL_WELL, Characterisation, characterise
 from camcal.report.figures.figure import encoded
 from camcal.report.figures.sensor import characterisation, sensor_plots
 from camcal.report.uncertain import value_and_std
