@@ -68,7 +68,10 @@ def load(path: Path, scratch: Scratch | None = None, content: bytes | None = Non
     if suffix in RAW_SUFFIXES:
         raise InvalidInput("is a camera raw file; make an image of it with 'camcal demosaic' first", where=str(path))
     if suffix == ".npy":
-        return _load_npy(path, content)
+        try:
+            return Image(read_npy(path, content=content))
+        except InvalidInput as error:
+            raise FileError(error.message, where=str(path)) from error
     content = read_bytes(path) if content is None else content
     require_allowed(path, content)
     if content.startswith(JPEG):
@@ -119,13 +122,6 @@ def gray_levels(pixels: Array) -> Array:
     low, high = np.quantile(known.astype(float), [_TAIL, 1 - _TAIL])
     with np.errstate(over="ignore", invalid="ignore"):  # infinite pixels, and those far beyond the others
         return np.asarray((pixels.astype(np.float32) - np.float32(low)) * np.float32(255 / max(high - low, 1e-30)))
-
-
-def _load_npy(path: Path, content: bytes | None) -> Image:
-    try:
-        return Image(read_npy(path, content=content))
-    except InvalidInput as error:
-        raise FileError(error.message, where=str(path)) from error
 
 
 def _load_jpeg(path: Path, content: bytes, scratch: Scratch | None) -> Image:

@@ -79,7 +79,10 @@ class Board(Brief):
         if self.type not in BOARD_TYPES:
             raise InvalidInput(f"board type {self.type!r} is unknown; use {', '.join(BOARD_TYPES)}")
         _require_counts(self)
-        _require_own_fields(self)
+        allowed = BOARD_TYPES[self.type].own | {"type", "columns", "rows", "square"}
+        for item in fields(self):
+            if item.name not in allowed and getattr(self, item.name) != item.default:
+                raise InvalidInput(f"a board of type {self.type} has no {item.name}")
         _require_lengths(self)
 
     @property
@@ -182,13 +185,6 @@ def _require_counts(board: Board) -> None:
         raise InvalidInput(f"{size} {kind.counted} is more than the limit of {LARGEST} a side")
     if board.dots and not dotted_squares(board.columns, board.rows):
         raise InvalidInput(f"a chessboard of {size} inner corners is too small for three dots (minimum 4 × 3)")
-
-
-def _require_own_fields(board: Board) -> None:
-    allowed = BOARD_TYPES[board.type].own | {"type", "columns", "rows", "square"}
-    for item in fields(board):
-        if item.name not in allowed and getattr(board, item.name) != item.default:
-            raise InvalidInput(f"a board of type {board.type} has no {item.name}")
 
 
 def _require_lengths(board: Board) -> None:

@@ -111,7 +111,10 @@ def map_of(points: Array, pixels: Array, size: tuple[int, int], *, rough: bool =
     straight = radial.straight(pixels)
     homography = homography_of(points, straight)
     middle, scale = points.mean(axis=0), float(np.ptp(points, axis=0).max()) / 2
-    degree = _degree(points)
+    # as high as points on the lines of a grid determine well
+    lines, degree = min(len(np.unique(np.rint(1e6 * axis / np.ptp(axis)))) for axis in points.T), 0
+    while degree < min(_DEGREE, lines - 2) and _POINTS_PER_TERM * (degree + 2) * (degree + 3) // 2 <= len(points):
+        degree += 1
     moved = apply_homography(np.linalg.inv(homography), straight) - points
     terms = polynomial_terms((points - middle) / scale, degree)
     return BoardMap(np.linalg.lstsq(terms, moved, rcond=None)[0], degree, middle, scale, homography, radial)
@@ -152,15 +155,6 @@ def _moved(radial: Radial, step: Array) -> Radial:
 def _residuals(points: Array, pixels: Array, radial: Radial) -> Array:
     straight = radial.straight(pixels)
     return np.asarray((straight - apply_homography(homography_of(points, straight), points)).ravel())
-
-
-def _degree(points: Array) -> int:
-    """Return the degree of the polynomial that points (N, 2) on lines of a grid determine well."""
-    lines = min(len(np.unique(np.rint(1e6 * axis / np.ptp(axis)))) for axis in points.T)
-    degree = 0
-    while degree < min(_DEGREE, lines - 2) and _POINTS_PER_TERM * (degree + 2) * (degree + 3) // 2 <= len(points):
-        degree += 1
-    return degree
 
 
 def polynomial_terms(points: Array, degree: int) -> Array:

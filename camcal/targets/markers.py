@@ -6,7 +6,7 @@ of markers are found: clockwise from its top-left as printed.
 
 import re
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import cv2
@@ -69,7 +69,10 @@ def detect_markers(gray: Array, family: str, *, keep_repeated: bool = False) -> 
     corners = np.array([known.as_printed(fit.corners) for _, fit in once]).reshape(-1, 4, 2)
     covariance = np.array([np.roll(fit.covariance, 2 * known.turned, axis=0) for _, fit in once]).reshape(-1, 4, 2, 2)
     repeated |= {} if keep_repeated else {marker: count for marker, count in counts.items() if count > 1}
-    warnings = [_repeated_id(marker, count) for marker, count in sorted(repeated.items())]
+    warnings = []
+    for marker, count in sorted(repeated.items()):
+        text = f"id {marker} detected {count} times, none used; --repeated-ids keep uses all"
+        warnings.append(Message("repeated_tag_id", text, {"id": marker, "count": count}))
     for marker, fit in once:
         if not fit.settled:
             text = f"id {marker}: corner refinement failed; corners of OpenCV used"
@@ -119,11 +122,6 @@ def _located(gray: Array, start: Array, family: Family, marker: int) -> MarkerFi
     return MarkerFit(outward, np.tile(_UNFITTED_PX**2 * np.eye(2), (4, 1, 1)), 0.0, settled=False)
 
 
-def _repeated_id(marker: int, count: int) -> Message:
-    text = f"id {marker} detected {count} times, none used; --repeated-ids keep uses all"
-    return Message("repeated_tag_id", text, {"id": marker, "count": count})
-
-
 OPENCV, APRILTAG = "opencv", "apriltag"
 TAG_FRAMES = (OPENCV, APRILTAG)
 
@@ -164,7 +162,8 @@ class TagObjects:
         if self.ids is not None and self.size is None:
             raise InvalidInput("ids need the size of the tags")
         for size in (*([] if self.size is None else [self.size]), *self.sizes.values()):
-            require_size(size)
+            if not (np.isfinite(size) and size > 0):
+                raise InvalidInput(f"the side of a tag must be positive, found {size:g}")
         _require_ids(self, family)
         object.__setattr__(
             self,
@@ -194,12 +193,6 @@ def tag_corners(size: float, tag_frame: str = OPENCV) -> Array:
 def single_name(tag: int) -> str:
     """Return the name of the object that is one tag."""
     return f"tag_{tag}"
-
-
-def require_size(size: float) -> None:
-    """Raise InvalidInput for a side that no tag has."""
-    if not (np.isfinite(size) and size > 0):
-        raise InvalidInput(f"the side of a tag must be positive, found {size:g}")
 
 
 def require_id(tag: int, family: Family) -> None:
@@ -234,7 +227,9 @@ def _tag(tag: int, corners: Array) -> Array:
 
 def _require_ids(tags: TagObjects, family: Family) -> None:
     owners: dict[int, str] = {}
-    for name, tag in _placed(tags):
+    placed = [(single_name(tag), tag) for tag in tags.sizes]
+    placed += [(name, tag) for name, bundle in tags.bundles.items() for tag in bundle]
+    for name, tag in placed:
         require_id(tag, family)
         if tag in owners:
             raise InvalidInput(f"id {tag} is on {owners[tag]} and on {name}; each tag belongs to one object")
@@ -248,8 +243,3 @@ def _require_ids(tags: TagObjects, family: Family) -> None:
             raise InvalidInput(
                 f"bundle {name!r} has no tag" if not bundle else f"{name!r} is the name of a single tag, not a bundle's"
             )
-
-
-def _placed(tags: TagObjects) -> Iterator[tuple[str, int]]:
-    yield from ((single_name(tag), tag) for tag in tags.sizes)
-    yield from ((name, tag) for name, bundle in tags.bundles.items() for tag in bundle)

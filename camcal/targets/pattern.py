@@ -256,14 +256,11 @@ def _markers(board: Board, count: int) -> Array:
 
 def _bordered(board: Board, ink: Array, steps: Array) -> Pattern:
     """Return the pattern of ink (rows, columns) whose lines repeat in every square at `steps`, shares of its side."""
-    x, y = (_lines(count + 1, steps) * board.spacing for count in (board.columns, board.rows))
-    return Pattern(x, y, np.pad(ink, 1, constant_values=WHITE))
-
-
-def _lines(squares: int, steps: Array) -> Array:
-    """Return the lines of a row of squares and its border, in squares; the second square begins at 0."""
-    inner = (np.arange(squares)[:, None] - 1 + steps).ravel()
-    return np.concatenate([[-1 - QUIET], inner, [squares - 1, squares - 1 + QUIET]])
+    lines = []
+    for count in (board.columns, board.rows):  # of corners: the second square begins at 0
+        inner = (np.arange(count + 1)[:, None] - 1 + steps).ravel()
+        lines.append(np.concatenate([[-1 - QUIET], inner, [count, count + QUIET]]) * board.spacing)
+    return Pattern(*lines, np.pad(ink, 1, constant_values=WHITE))
 
 
 def _aprilgrid(board: Board) -> Pattern:
@@ -276,16 +273,12 @@ def _aprilgrid(board: Board) -> Pattern:
     ink = tags.reshape(board.rows, board.columns, step, step).swapaxes(1, 2).reshape(board.rows * step, -1)
     ink = np.pad(ink, ((0, 1), (0, 1)), constant_values=WHITE)
     ink[::step, -1] = ink[-1, ::step] = BLACK
-    x, y = (_tag_lines(count, cells, board) for count in (board.columns, board.rows))
-    return Pattern(x, y, np.pad(ink, 1, constant_values=WHITE))
-
-
-def _tag_lines(tags: int, cells: int, board: Board) -> Array:
-    """Return the lines of a row of tags, of the gaps before, between and after them, and of the border."""
-    side, gap = board.marker or 0.0, ink_reach(board)
-    inner = (np.arange(tags)[:, None] * board.spacing + side * np.linspace(0, 1, cells + 1)).ravel()
-    outer = np.array([gap, gap + QUIET * board.spacing])
-    return np.concatenate([-outer[::-1], inner, inner[-1] + outer])
+    side, gap, lines = board.marker or 0.0, ink_reach(board), []
+    for count in (board.columns, board.rows):
+        inner = (np.arange(count)[:, None] * board.spacing + side * np.linspace(0, 1, cells + 1)).ravel()
+        outer = np.array([gap, gap + QUIET * board.spacing])
+        lines.append(np.concatenate([-outer[::-1], inner, inner[-1] + outer]))
+    return Pattern(*lines, np.pad(ink, 1, constant_values=WHITE))
 
 
 def _circles(board: Board) -> Pattern:

@@ -177,21 +177,16 @@ def nearest(seen: Array, bits: Array) -> tuple[Array, Array, Array]:
 
 def _elected(reading: MarkerReadings, board: Board, legacy: bool) -> BoardPlacement | None:
     """Return the place that most markers put the pattern in, None if they are at odds."""
-    home = marker_squares(board, legacy=legacy)[reading.marker]
+    row, column = np.indices((board.rows + 1, board.columns + 1))  # of squares, outer ones counted
+    first = 1 if legacy and (board.rows + 1) % 2 == 0 else 0
+    home = np.argwhere((row + column + first) % 2 == 1)[reading.marker]
     turned = np.einsum("sij,sj->si", np.array(TURNS)[reading.turn], reading.square - 0.5)
     moved = np.rint(home - 0.5 - turned).astype(np.intp)
     ranked = Counter(map(tuple, np.column_stack([reading.turn, moved]).tolist())).most_common(2)
     if not ranked or ranked[0][1] < LEAST_VOTES or (len(ranked) > 1 and ranked[0][1] < MAJORITY * ranked[1][1]):
         return None
-    (turn, row, column), votes = ranked[0]
-    return BoardPlacement(turn, row, column, legacy, votes)
-
-
-def marker_squares(board: Board, *, legacy: bool) -> Array:
-    """Return row and column (M, 2) of the squares with markers, outer squares counted, in the order of the markers."""
-    row, column = np.indices((board.rows + 1, board.columns + 1))
-    first = 1 if legacy and (board.rows + 1) % 2 == 0 else 0
-    return np.argwhere((row + column + first) % 2 == 1)
+    (turn, down, right), votes = ranked[0]
+    return BoardPlacement(turn, down, right, legacy, votes)
 
 
 WHITE = np.uint8(255)
@@ -258,7 +253,12 @@ def _find(gray: Array, board: Board) -> tuple[BoardDetection, list[Checker]]:
     best, most = BoardDetection.nothing(f"no marker of {board.dictionary} found"), 0
     bare: list[Checker] = []
     for copy in proposals(gray):
-        parts = [_part(gray, start, board, legacies) for start in copy]
+        checkers = [trimmed(verified_corners(gray, start, clearance(board))) for start in copy]
+        readings = [read_markers(gray, checker, board) for checker in checkers]
+        parts = [
+            _Part(checker, reading, board_placement(reading, board, legacies))
+            for checker, reading in zip(checkers, readings, strict=True)
+        ]
         grid = _joined(parts, board)
         bare += [part.checker for part in parts if not part.markers]
         if grid is None:
@@ -295,12 +295,6 @@ class _Part:
     def markers(self) -> int:
         """How many markers were read, or seen from behind if those are more."""
         return max(len(self.reading.marker), self.reading.mirrored)
-
-
-def _part(gray: Array, start: Array, board: Board, legacies: Sequence[bool]) -> _Part:
-    checker = trimmed(verified_corners(gray, start, clearance(board)))
-    reading = read_markers(gray, checker, board)
-    return _Part(checker, reading, board_placement(reading, board, legacies))
 
 
 def _joined(parts: list[_Part], board: Board) -> Array | None:

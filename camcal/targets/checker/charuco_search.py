@@ -79,7 +79,10 @@ class CharucoLayout:
     def board(self, like: Board) -> Board:
         """Return the board, with the square of `like`, and its dictionary and its marker where these fit as well."""
         ratio = (like.marker or 0.0) / like.spacing
-        marker = like.marker if abs(ratio - self.ratio) <= _SAME_RATIO else _rounded(self.ratio, like.square)
+        marker = like.marker
+        if abs(ratio - self.ratio) > _SAME_RATIO:  # in the unit of the board, rounded by its uncertainty
+            side = 1e3 * self.ratio * like.spacing
+            marker = round(self.ratio, 2) if like.square is None else float(f"{side:.{_DIGITS}g}") / 1e3
         plain = like.legacy is None or self.rows % 2
         return Board(
             CHARUCO,
@@ -101,13 +104,6 @@ class CharucoLayout:
         if liked.startswith(family) and family_named(liked).count >= least:
             return liked
         return f"{family}{next((size for size in _SIZES if size >= least), _SIZES[-1])}"
-
-
-def _rounded(ratio: float, square: float | None) -> float:
-    """Return a marker's side in the unit of the board, rounded by its uncertainty."""
-    if square is None:
-        return round(ratio, 2)
-    return float(f"{1e3 * ratio * square:.{_DIGITS}g}") / 1e3
 
 
 def search_charuco(gray: Array, like: Board) -> CharucoLayout | None:
@@ -173,51 +169,28 @@ def _readings(
     gray: Array, checker: Checker, square: Array, corners: Array, ratio: float, first: int
 ) -> Iterator[list[CharucoLayout]]:
     """Yield the layouts of most votes by every dictionary that has one; square, corners: see `bright_squares`."""
-    extent = checker.grid.shape[0], checker.grid.shape[1]
-    for bits, names in _by_bits().items():
+    by_bits: dict[int, list[str]] = {}
+    for name in _DICTIONARIES:
+        by_bits.setdefault(family_named(name).bits, []).append(name)
+    for bits, names in by_bits.items():
         seen, clear = read_bits(gray, corners, ratio, bits + 2, checker.contrast)
         for name in names if clear.sum() >= _LEAST_VOTES else ():
             words = cells(name, 0, family_named(name).count)[:, 1:-1, 1:-1]
             marker, turn, wrong = nearest(seen[clear], words)
             known = wrong * WRONG_BITS <= bits * bits
-            places = _Places(square[clear][known], marker[known], turn[known], extent)
             least = max(_LEAST_VOTES, _LEAST_SHARE * int(clear.sum()))
-            found = list(places.layouts(name, ratio, first))
+            found: list[CharucoLayout] = []
+            for quarters, rotation in enumerate(map(np.array, TURNS)):
+                same = known & (turn == quarters)
+                if same.sum() >= _LEAST_VOTES:
+                    # around each of the pattern's corners there are four squares
+                    ends = np.sort((np.array([(0, 0), checker.found.shape]) - 0.5) @ rotation.T, axis=0)
+                    height, width = np.rint(ends[1] - ends[0] + 1).astype(int).tolist()
+                    place = np.rint((square[clear][same] - 0.5) @ rotation.T - ends[0]).astype(np.intp)
+                    found += _agreed(place, marker[same], (height, width), name, ratio, first)
             most = max((layout.votes for layout in found), default=0)
             if most >= least:
                 yield [layout for layout in dict.fromkeys(found) if layout.votes == most]
-
-
-def _by_bits() -> dict[int, list[str]]:
-    """Return the names of the dictionaries by the number of bits across their markers."""
-    result: dict[int, list[str]] = {}
-    for name in _DICTIONARIES:
-        result.setdefault(family_named(name).bits, []).append(name)
-    return result
-
-
-@dataclass(frozen=True, eq=False)
-class _Places:
-    """Markers (M,) that were read in squares (M, 2) of a pattern, turned by quarters (M,).
-
-    extent: rows and columns of the pattern's corners, around each of which there are four squares.
-    """
-
-    square: Array
-    marker: Array
-    turn: Array
-    extent: tuple[int, int]
-
-    def layouts(self, name: str, ratio: float, first: int) -> Iterator[CharucoLayout]:
-        """Yield the layouts that some markers agree on."""
-        for turn in range(len(TURNS)):
-            same = self.turn == turn
-            if same.sum() >= _LEAST_VOTES:
-                rotation = np.array(TURNS[turn])
-                ends = np.sort((np.array([(0, 0), self.extent]) - 0.5) @ rotation.T, axis=0)
-                height, width = np.rint(ends[1] - ends[0] + 1).astype(int).tolist()
-                place = np.rint((self.square[same] - 0.5) @ rotation.T - ends[0]).astype(np.intp)
-                yield from _agreed(place, self.marker[same], (height, width), name, ratio, first)
 
 
 def _agreed(

@@ -100,7 +100,7 @@ def verified_corners(gray: Array, start: Array, clearance: float = CLEARANCE) ->
     grid[grids.stray(grid) > STRAY] = np.nan
     checker = Checker(grid, sign, contrast)
     for _ in range(sum(start.shape[:2])):
-        grown = _grown(gray, checker, clearance)
+        grown = _fill(gray, checker, grids.predict(checker.grid), clearance)
         if (grown.found == checker.found).all():
             break
         checker = grown
@@ -163,11 +163,6 @@ def _sides(there: Array) -> tuple[bool, bool, bool, bool]:
     return top, bottom, left, right
 
 
-def _grown(gray: Array, checker: Checker, clearance: float) -> Checker:
-    """Return the checker with missing corners that are seen where their neighbours put them."""
-    return _filled(gray, checker, grids.predict(checker.grid), clearance)
-
-
 def with_hidden_corners(gray: Array, checker: Checker, clearance: float) -> Checker:
     """Return the checker with missing corners that are seen where all the others put them, as behind a hand."""
     known = checker.found
@@ -176,10 +171,10 @@ def with_hidden_corners(gray: Array, checker: Checker, clearance: float) -> Chec
     row, column = np.indices(known.shape)
     nodes = np.stack([column, row], axis=-1).astype(np.float64)
     seen = map_of(nodes[known], checker.grid[known], (gray.shape[1], gray.shape[0]))
-    return _filled(gray, checker, seen.pixels(nodes.reshape(-1, 2)).reshape(nodes.shape), clearance)
+    return _fill(gray, checker, seen.pixels(nodes.reshape(-1, 2)).reshape(nodes.shape), clearance)
 
 
-def _filled(gray: Array, checker: Checker, predicted: Array, clearance: float) -> Checker:
+def _fill(gray: Array, checker: Checker, predicted: Array, clearance: float) -> Checker:
     """Return the checker with missing corners that are seen near where they are predicted (rows, columns, 2)."""
     places = np.where(checker.found[..., None], checker.grid, predicted)
     nodes = _measured_nodes(gray, places, ~checker.found & ~np.isnan(places[..., 0]), clearance, far=True)

@@ -173,8 +173,12 @@ def sensor(options: SensorOptions, progress: Progress = SILENT) -> SensorReport:
     known = [one.mean for one in darks if one.mean is not None]
     flats = _sets(options, progress, black=min(known, default=0.0))
     iso, flats, darks = _at_one_speed(flats, darks, options.iso)
-    _require_apart(flats, darks)
-    spread = _widening((*flats, *darks), options, progress)
+    of_light, of_darkness = ({path for one in sets for path in one.paths} for sets in (flats, darks))
+    if both := of_light & of_darkness:
+        raise InvalidInput("is both a flat and a dark frame", where=str(min(both)))
+    look = partial(_used_counts, reading=options.reading)
+    firsts = [one.paths[0] for one in (*flats, *darks)]
+    spread = widened(values_of(fan_out(look, firsts, jobs=options.jobs, what="looking at counts", progress=progress)))
     work = partial(_measure, reading=options.reading, white=options.white, spread=spread)
     found = characterise(
         *(
@@ -217,40 +221,23 @@ def _at_one_speed(
     return iso, kept[0], kept[1]
 
 
-def _require_apart(flats: Sequence[FrameSet], darks: Sequence[FrameSet]) -> None:
-    """Raise InvalidInput if a frame is a flat and a dark one."""
-    of_light, of_darkness = ({path for one in sets for path in one.paths} for sets in (flats, darks))
-    if both := of_light & of_darkness:
-        raise InvalidInput("is both a flat and a dark frame", where=str(min(both)))
-
-
-def _widening(sets: Sequence[FrameSet], options: SensorOptions, progress: Progress) -> Widened | None:
-    """Return how the counts of the frames became 16 bits, by one frame of each level; None if they did not."""
-    work = partial(_used_counts, reading=options.reading)
-    paths = [one.paths[0] for one in sets]
-    return widened(values_of(fan_out(work, paths, jobs=options.jobs, what="looking at counts", progress=progress)))
-
-
 def _used_counts(path: Path, reading: RawInput) -> Array:
     return used_counts(read_frame(path, reading))
 
 
 def _measure(one: FrameSet, reading: RawInput, white: float | None, spread: Widened | None) -> Level:
-    frames = (_own_counts(read_frame(path, reading), spread) for path in one.paths)
+    """Return the statistics of a level in the counts of the sensor: rounding noise is that of one of them."""
+    frames: Iterator[Mosaic] = (read_frame(path, reading) for path in one.paths)
+    if spread is not None:
+        step, sensor_white = spread.step, spread.white
+        frames = (
+            replace(frame, values=np.rint(frame.values / step).astype(np.uint16), white=sensor_white)
+            for frame in frames
+        )
+        if white is not None and white > sensor_white:  # meant in the counts of the file
+            white /= step
     with Located(one.where):
-        return measure_level(frames, one.exposure_s, _own_white(white, spread))
-
-
-def _own_counts(frame: Mosaic, spread: Widened | None) -> Mosaic:
-    """Return a frame in the counts of its sensor: rounding noise is that of one of them."""
-    if spread is None:
-        return frame
-    return replace(frame, values=np.rint(frame.values / spread.step).astype(np.uint16), white=spread.white)
-
-
-def _own_white(white: float | None, spread: Widened | None) -> float | None:
-    """Return the white level in counts of the sensor; one that it cannot reach was meant in those of the file."""
-    return white / spread.step if white is not None and spread is not None and white > spread.white else white
+        return measure_level(frames, one.exposure_s, white)
 
 
 def _counts_warnings(found: Characterisation, spread: Widened | None, options: SensorOptions) -> Iterator[Message]:
