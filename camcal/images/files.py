@@ -116,10 +116,10 @@ def gray_levels(pixels: Array) -> Array:
     if pixels.dtype == np.uint8:
         return np.asarray(pixels)
     sample = pixels.ravel()[:: max(1, pixels.size // _SAMPLES)]
-    known = sample[np.isfinite(sample)]
-    if not known.size:
+    finite = sample[np.isfinite(sample)]
+    if not finite.size:
         return np.zeros(pixels.shape, np.float32)
-    low, high = np.quantile(known.astype(float), [_TAIL, 1 - _TAIL])
+    low, high = np.quantile(finite.astype(float), [_TAIL, 1 - _TAIL])
     with np.errstate(over="ignore", invalid="ignore"):  # infinite pixels, and those far beyond the others
         return np.asarray((pixels.astype(np.float32) - np.float32(low)) * np.float32(255 / max(high - low, 1e-30)))
 

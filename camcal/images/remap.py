@@ -165,8 +165,8 @@ def align_channels(maps: Maps, lenses: Mapping[str, Camera], view: Camera) -> Ma
     unknown = sorted(set(lenses) - set(CHANNELS))
     if unknown:
         raise InvalidInput(f"channel {unknown[0]!r} is not an image channel; use one of {', '.join(CHANNELS)}")
-    own = {CHANNELS.index(colour): _followed(maps, lens, view) for colour, lens in lenses.items()}
-    return replace(maps, aligned=MappingProxyType(own))
+    aligned = {CHANNELS.index(colour): _followed(maps, lens, view) for colour, lens in lenses.items()}
+    return replace(maps, aligned=MappingProxyType(aligned))
 
 
 def _followed(maps: Maps, lens: Camera, view: Camera) -> Maps:
@@ -176,8 +176,8 @@ def _followed(maps: Maps, lens: Camera, view: Camera) -> Maps:
     trace = Trace(lens, view)
     for rows, band in exact_bands(trace) if maps.interpolation == NEAREST_TRUNCATE else bands(trace):
         main = np.stack([maps.x[rows], maps.y[rows]])
-        own = np.clip(_round_band(band, maps.interpolation), 0, largest)
-        x[rows], y[rows] = np.where(np.isfinite(own).all(axis=0) & (main[0] != _OUTSIDE), own, main)
+        places = np.clip(_round_band(band, maps.interpolation), 0, largest)
+        x[rows], y[rows] = np.where(np.isfinite(places).all(axis=0) & (main[0] != _OUTSIDE), places, main)
     x.setflags(write=False)
     y.setflags(write=False)
     return replace(maps, x=x, y=y)
@@ -273,8 +273,8 @@ def _rough_cells(trace: Trace, nodes: Array) -> Array:
     middle = trace.positions((np.arange(columns) + 0.5) * STEP, (np.arange(rows)[:, None] + 0.5) * STEP)
     half = _cubic(np.array([0.5]))[0]
     guess = sliding_window_view(sliding_window_view(nodes, 4, axis=2) @ half, 4, axis=1) @ half
-    known = sliding_window_view(np.isfinite(nodes[0]), (4, 4)).any(axis=(2, 3)) | np.isfinite(middle[0])
-    return np.asarray(known & ~(np.abs(guess - middle).max(axis=0) < ACCURACY))
+    within = sliding_window_view(np.isfinite(nodes[0]), (4, 4)).any(axis=(2, 3)) | np.isfinite(middle[0])
+    return np.asarray(within & ~(np.abs(guess - middle).max(axis=0) < ACCURACY))
 
 
 def _cubic(t: Array) -> Array:

@@ -207,8 +207,8 @@ def write_map(path: Path, mask: Array) -> None:
         lines = [f"{x} {y} 0\n" for y, x in np.argwhere(mask).tolist()]
         files.write_text(path, f"# bad pixels of a {mask.shape[1]} x {mask.shape[0]} frame: x y time\n{''.join(lines)}")
     else:
-        known = ", ".join(sorted({".txt", ".npy"} | MASK_SUFFIXES))
-        raise InvalidInput(f"{suffix} is not a suffix of a bad pixel map; use one of {known}", where=str(path))
+        suffixes = ", ".join(sorted({".txt", ".npy"} | MASK_SUFFIXES))
+        raise InvalidInput(f"{suffix} is not a suffix of a bad pixel map; use one of {suffixes}", where=str(path))
 
 
 def make_map(darks: Iterable[Array], pattern: str) -> Array:
@@ -343,8 +343,8 @@ def _fill(result: Array, mask: Array, pixels: Array, offsets: Array) -> Array:
     inside = ((places >= 0) & (places <= limits)).all(axis=2)
     rows, columns = np.moveaxis(np.clip(places, 0, limits), 2, 0)
     good = inside & ~mask[rows, columns]
-    found = good.any(axis=1)
+    fillable = good.any(axis=1)
     samples = np.where(good, result[rows, columns].astype(np.float32), np.float32(np.nan))
-    medians = np.nanmedian(samples[found], axis=1)
-    result[tuple(pixels[found].T)] = np.rint(medians) if result.dtype.kind == "u" else medians
-    return np.asarray(pixels[~found])
+    medians = np.nanmedian(samples[fillable], axis=1)
+    result[tuple(pixels[fillable].T)] = np.rint(medians) if result.dtype.kind == "u" else medians
+    return np.asarray(pixels[~fillable])

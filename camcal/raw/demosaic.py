@@ -186,10 +186,11 @@ def libraw_filters() -> list[str]:
 
 def require_libraw_filter(name: str) -> str:
     """Return the name of a filter in capitals; raises InvalidInput unless the installed LibRaw has it."""
-    known = libraw_filters()
-    if name.upper() not in known:
+    supported = libraw_filters()
+    if name.upper() not in supported:
         raise InvalidInput(
-            f"LibRaw as installed does not support {name!r} and would use AHD instead; use one of " + ", ".join(known)
+            f"LibRaw as installed does not support {name!r} and would use AHD instead; use one of "
+            + ", ".join(supported)
         )
     return name.upper()
 

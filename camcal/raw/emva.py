@@ -201,11 +201,11 @@ def together(parts: Iterable[Figures]) -> Figures:
     parts = list(parts)
     means: dict[str, Any] = {}
     for field in fields(Figures):
-        known = [figure for part in parts if (figure := getattr(part, field.name)) is not None]
-        if field.name in _PATTERNS and known:
-            means[field.name] = Figure(*root(*_mean([Figure(*squared(*figure)) for figure in known])))
+        figures = [figure for part in parts if (figure := getattr(part, field.name)) is not None]
+        if field.name in _PATTERNS and figures:
+            means[field.name] = Figure(*root(*_mean([Figure(*squared(*figure)) for figure in figures])))
         else:
-            means[field.name] = _mean(known) if known else None
+            means[field.name] = _mean(figures) if figures else None
     return Figures(**means)
 
 
@@ -269,12 +269,12 @@ def line_deviation(curve: Curve, limit: float) -> Array:
 
 def _dark_current(darks: Sequence[Level], phase: int, gain: Figure) -> Figure | None:
     """Return electrons per second from the growth of the dark signal with exposure; None with a single exposure."""
-    known = [level for level in darks if level.exposure_s is not None]
-    if len({level.exposure_s for level in known}) < 2:
+    exposed = [level for level in darks if level.exposure_s is not None]
+    if len({level.exposure_s for level in exposed}) < 2:
         return None
-    exposure = np.array([level.exposure_s for level in known])
-    means = [before_counting(level.counted(phase)).mean for level in known]
-    std = np.array([sqrt(level.temporal[phase] / (level.samples * level.frames)) for level in known])
+    exposure = np.array([level.exposure_s for level in exposed])
+    means = [before_counting(level.counted(phase)).mean for level in exposed]
+    std = np.array([sqrt(level.temporal[phase] / (level.samples * level.frames)) for level in exposed])
     std = np.maximum(std, 1e-6)  # where rounding leaves no noise at all
     from_mean = exposure - np.average(exposure, weights=std**-2)
     slopes = from_mean / std**2

@@ -218,10 +218,10 @@ def _turned(step: _Step) -> _Step:
 
 def _all_around(*ways: _GradientDirection) -> list[_GradientDirection]:
     """Return the ways and what three quarter turns make of them."""
-    found = list(ways)
+    directions = list(ways)
     for _ in range(3):
-        found += [way.turned() for way in found[-len(ways) :]]
-    return found
+        directions += [way.turned() for way in directions[-len(ways) :]]
+    return directions
 
 
 _UP = (
@@ -317,12 +317,12 @@ def _find_missing(tile: Tile, around: _Surroundings) -> dict[str, Plane]:
         for colour, steps in groupby(way.seen, around.colour_at):
             np.multiply(_mean(around, list(steps), work), smooth[HERE], out=work[HERE])
             np.add(sums[colour][HERE], work[HERE], out=sums[colour][HERE])
-    own = sums.pop(around.colour)
+    of_own_colour = sums.pop(around.colour)
     for plane in sums.values():
-        np.subtract(plane[HERE], own[HERE], out=plane[HERE])
+        np.subtract(plane[HERE], of_own_colour[HERE], out=plane[HERE])
         np.divide(plane[HERE], count[HERE], out=plane[HERE])
         np.add(plane[HERE], around[HERE], out=plane[HERE])
-    tile.give_back(*gradients, threshold, count, work, own)
+    tile.give_back(*gradients, threshold, count, work, of_own_colour)
     return sums
 
 

@@ -110,9 +110,9 @@ def read_headerless(path: Path, layout: Layout) -> tuple[Array, str]:
 
 def _chosen_frame(path: Path, length: int, layout: Layout) -> int:
     """Return the frame to read of a file of `length` bytes, which must hold a whole number of them."""
-    found, needed = length - layout.offset, layout.frame_bytes
+    length_of_frames, needed = length - layout.offset, layout.frame_bytes
     padding = layout.frame_step - needed  # of the last row, which many writers leave out
-    count, rest = divmod(found + padding, layout.frame_step)
+    count, rest = divmod(length_of_frames + padding, layout.frame_step)
     if count < 1:
         raise FileError(f"{layout} needs {needed} bytes, found {_found(length, layout)}", where=str(path))
     if rest not in (0, padding):
@@ -188,12 +188,14 @@ def _likeness(values: Array) -> float:
     if len(values) < _LEAST or values.shape[1] < _LEAST:
         return 1.0
     above, below = (values[rows + step].astype(float) for step in (0, 2))
-    found = []
+    likenesses = []
     for start in range(_GROUP):
         one, other = above[:, start::_GROUP], below[:, start::_GROUP]
         variance = float(one.var() + other.var())
-        found.append(1 - float(np.mean((one - one.mean() - other + other.mean()) ** 2)) / variance if variance else 1.0)
-    return min(found)
+        likenesses.append(
+            1 - float(np.mean((one - one.mean() - other + other.mean()) ** 2)) / variance if variance else 1.0
+        )
+    return min(likenesses)
 
 
 def length_of(path: Path) -> int:

@@ -309,10 +309,10 @@ def read_detection_image(path: Path, reading: ImageReadOptions = AS_IMAGES, *, h
     with Located(path):
         if is_raw(path, reading):
             layout = reading.layout if suffix in HEADERLESS_SUFFIXES else NO_LAYOUT
-            found = detection_image_of(read_mosaic(path, reading.pattern, layout, content), reading)
+            image = detection_image_of(read_mosaic(path, reading.pattern, layout, content), reading)
         else:
-            found = _of_image(load(path, content=content), reading)
-    return replace(found, sha256=hashlib.sha256(content).hexdigest()) if hashed and content is not None else found
+            image = _of_image(load(path, content=content), reading)
+    return replace(image, sha256=hashlib.sha256(content).hexdigest()) if hashed and content is not None else image
 
 
 def is_raw(path: Path, reading: ImageReadOptions) -> bool:

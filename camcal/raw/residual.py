@@ -108,11 +108,11 @@ class _TwoPasses:
         around = box.widened(ri_green.REACH)
         with self.mosaic.tile(around) as tile:
             bayer = self.mosaic.samples(tile, around)
-            found = ri_green.colour_differences(tile, bayer)
+            of_colours = ri_green.colour_differences(tile, bayer)
             inside = box._replace(row=ri_green.REACH, column=ri_green.REACH).slices
-            for differences, plane in zip(self._differences, found, strict=True):
+            for differences, plane in zip(self._differences, of_colours, strict=True):
                 differences[box.slices] = plane.image[inside]
-            tile.give_back(*bayer, *found)
+            tile.give_back(*bayer, *of_colours)
 
     def find_colours(self, box: Box) -> None:
         """Leave the colours of a box of cells."""

@@ -18,7 +18,7 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.targets.board import Board
 from camcal.targets.board_types import TAG_BORDER
-from camcal.targets.checker.checker import AGREEMENT, CONTRAST, measure_saddles
+from camcal.targets.checker.checker import CONTRAST, NodeMeasurements, measure_saddles
 from camcal.targets.corners.cells import Beside, Cells
 from camcal.targets.corners.measure import blur_of, clear, tag_reach
 from camcal.targets.corners.refine import refine
@@ -75,24 +75,6 @@ class _TagCorners:
     def found(self) -> Array:
         """Which corners were found, (2 rows, 2 columns)."""
         return ~np.isnan(self.grid[..., 0])
-
-
-@dataclass(frozen=True, eq=False)
-class _NodeMeasurements:
-    """What is seen at the corners of a grid (2 rows, 2 columns), NaN where not examined.
-
-    contrast: gray levels, positive where dark and bright are as on the board. moved: from the start, in sides of a tag.
-    """
-
-    grid: Array
-    contrast: Array
-    agreement: Array
-    moved: Array
-
-    @property
-    def crossing(self) -> Array:
-        """Where two edges cross near the start as they do on the board."""
-        return np.asarray((self.agreement > AGREEMENT) & (self.moved < MOVED) & (self.contrast > 0))
 
 
 def find_aprilgrid(gray: Array, board: Board, samples: MaskedImage | None = None) -> BoardDetection:
@@ -161,7 +143,7 @@ def _follow(gray: Array, lattice: TagLattice, start: Array, off_px: float) -> _T
     off_px: how far those of the tags may be off.
     """
     nodes = _measured_nodes(gray, lattice, start, predict(lattice, start), np.full(start.shape[:2], off_px))
-    crossing = nodes.crossing
+    crossing = nodes.crossing(MOVED) & (nodes.contrast > 0)
     if not crossing.any():
         return _TagCorners.nothing(lattice)
     seen = _TagCorners(np.where(crossing[..., None], nodes.grid, np.nan), float(np.median(nodes.contrast[crossing])))
@@ -181,20 +163,21 @@ def _grow(gray: Array, lattice: TagLattice, seen: _TagCorners) -> _TagCorners:
     grid = np.where((off > STRAY + 2 * predicted.spread)[..., None], np.nan, seen.grid)
     missing = np.where(seen.found[..., None], np.nan, predicted.places)
     nodes = _measured_nodes(gray, lattice, missing, predicted, predicted.spread * side)
-    new = nodes.crossing & (nodes.contrast > CONTRAST * seen.contrast)
+    new = nodes.crossing(MOVED) & (nodes.contrast > CONTRAST * seen.contrast)
     return _TagCorners(np.where(new[..., None], nodes.grid, grid), seen.contrast)
 
 
 def _measured_nodes(
     gray: Array, lattice: TagLattice, places: Array, predicted: Predicted, off_px: Array
-) -> _NodeMeasurements:
+) -> NodeMeasurements:
     """Return what is seen near the places (2 rows, 2 columns, 2) px that are not NaN and lie in the image.
 
-    off_px: (2 rows, 2 columns) how far the corners may be from them.
+    off_px: (2 rows, 2 columns) how far the corners may be from them. The contrast is positive where dark and bright are
+    as on the board.
     """
     side = _side(predicted.steps)
     where = ((places > -0.5) & (places < np.array(gray.shape[::-1]) - 0.5)).all(axis=-1) & (side > LEAST_SIDE_PX)
-    result = _NodeMeasurements(places.copy(), *np.full((3, *side.shape), np.nan))
+    result = NodeMeasurements(places.copy(), *np.full((3, *side.shape), np.nan))
     if where.any():
         far = bool((off_px[where] > NEAR * WINDOW * side[where]).any())
         seen = measure_saddles(gray, places[where], WINDOW * predicted.steps[where], CLEARANCE, far=far)
@@ -230,16 +213,16 @@ def _measure(samples: MaskedImage, lattice: TagLattice, seen: _TagCorners, side:
 
     side: cells across a tag, its border included.
     """
-    known, grid = seen.found, seen.grid.copy()
-    blur = blur_of(samples.values, grid[known])
+    found, grid = seen.found, seen.grid.copy()
+    blur = blur_of(samples.values, grid[found])
     for _ in range(PASSES):
         cells = tag_cells(lattice, grid, predict(lattice, grid, own=True), side)
         crowded = cells.crowded(blur)
         if not crowded:  # without the edges beside them: as deep as cells go in an image that is sharp enough
             depth = np.minimum(cells.depth, cells.reach.min(axis=(1, 2))[:, None, None])
             cells = replace(cells, depth=depth, beside=None)
-        corners = refine(samples.values, grid[known], cells, blur, samples.sites)
-        grid[known] = corners.pixels
+        corners = refine(samples.values, grid[found], cells, blur, samples.sites)
+        grid[found] = corners.pixels
         if not crowded:
             break
     good = clear(corners) & (
@@ -247,13 +230,13 @@ def _measure(samples: MaskedImage, lattice: TagLattice, seen: _TagCorners, side:
     )
     if good.sum() < MIN_CORNERS:
         return BoardDetection.nothing(f"only {int(good.sum())} usable tag corners", refused=seen.grid)
-    ids = lattice.ids[known][good]
+    ids = lattice.ids[found][good]
     order = np.argsort(ids)
     return BoardDetection(
         ids=ids[order],
         pixels=corners.pixels[good][order],
         covariance=corners.covariance[good][order],
-        refused=seen.grid[known][~good],
+        refused=seen.grid[found][~good],
     )
 
 
@@ -281,13 +264,13 @@ def tag_cells(lattice: TagLattice, grid: Array, predicted: Predicted, side: int)
 
     predicted: where the neighbours put all corners. side: cells across a tag, its border included.
     """
-    known = ~np.isnan(grid[..., 0])
-    row, column = np.nonzero(known)
+    present = ~np.isnan(grid[..., 0])
+    row, column = np.nonzero(present)
     after = 1 - np.stack([column, row], axis=1) % 2  # 1 where the tag lies behind the corner along an edge
     reach, in_tag = tag_reach(after, lattice.gap)
-    beside = _beside(lattice, np.where(known[..., None], grid, predicted.places), predicted.steps)
+    beside = _beside(lattice, np.where(present[..., None], grid, predicted.places), predicted.steps)
     depth = np.where(in_tag, TAG_BORDER / side, 1.0)
-    return Cells(predicted.steps[known], _bends(lattice, grid), reach, depth, beside.take(np.flatnonzero(known)))
+    return Cells(predicted.steps[present], _bends(lattice, grid), reach, depth, beside.take(np.flatnonzero(present)))
 
 
 def _bends(lattice: TagLattice, grid: Array) -> Array:
@@ -295,8 +278,8 @@ def _bends(lattice: TagLattice, grid: Array) -> Array:
 
     What bends lines is smooth and corners are not exact: a polynomial in x and y says where those around a corner are.
     """
-    known = ~np.isnan(grid[..., 0])
-    nodes, pixels = lattice.nodes[known], grid[known]
+    present = ~np.isnan(grid[..., 0])
+    nodes, pixels = lattice.nodes[present], grid[present]
     degree = next((degree for degree in (3, 2) if _SPARE * (degree + 1) * (degree + 2) / 2 <= len(nodes)), None)
     if degree is None:
         return np.zeros_like(pixels)

@@ -96,13 +96,13 @@ def _measured(gray: Array, board: Board, lattice: Array, ellipses: Ellipses) -> 
 def _completed(board: Board, lattice: Array, ellipses: Ellipses, size: tuple[int, int]) -> Ellipses:
     """Return the ellipses (count,) of all dots of a board in the order of their ids, of some as the others tell."""
     index = lattice[tuple(nodes(board).T)]
-    known = index >= 0
+    present = index >= 0
     points = board.points()[:, :2] / board.spacing
     centres, axes = ellipses.centres[index], ellipses.axes[index]
-    if not known.all():
-        near = KDTree(points[known]).query(points[~known], k=4)[1]
-        axes[~known] = axes[known][near].mean(axis=1)
-        centres[~known] = map_of(points[known], centres[known], size).pixels(points[~known])
+    if not present.all():
+        near = KDTree(points[present]).query(points[~present], k=4)[1]
+        axes[~present] = axes[present][near].mean(axis=1)
+        centres[~present] = map_of(points[present], centres[present], size).pixels(points[~present])
     return Ellipses(centres, axes)
 
 
@@ -137,8 +137,8 @@ def as_drawn(lattice: Array, board: Board) -> Array:
 def _trimmed(lattice: Array, every: int) -> Array:
     """Return the lattice without outer rows and columns of which too little was found."""
     while lattice.size:
-        found = lattice >= 0
-        sides = (found[0], found[-1], found[:, 0], found[:, -1])
+        present = lattice >= 0
+        sides = (present[0], present[-1], present[:, 0], present[:, -1])
         top, bottom, left, right = (int(every * side.mean() < _SIDE) for side in sides)
         if not (top or bottom or left or right):
             break
@@ -227,11 +227,11 @@ class OtherGrid:
     def of(cls, lattice: Array, ellipses: Ellipses, board: Board, *, whole: bool) -> "OtherGrid":
         """Return a lattice as the board is drawn, or as the other type of board is if it holds more of it then."""
         other = CIRCLES if board.type == ASYMMETRIC_CIRCLES else ASYMMETRIC_CIRCLES
-        found = []
+        candidates = []
         for like in (board, replace(board, type=other, square=None, diameter=None)):
             drawn = as_drawn(lattice, like)
-            found.append(cls(drawn, ellipses, like, int((drawn >= 0).sum()), whole))
-        return max(found, key=lambda grid: grid.count)
+            candidates.append(cls(drawn, ellipses, like, int((drawn >= 0).sum()), whole))
+        return max(candidates, key=lambda grid: grid.count)
 
     def detection(self, gray: Array, board: Board) -> BoardDetection:
         """Return why the grid in an image (H, W) uint8 is not the board, and which board it is."""

@@ -46,12 +46,12 @@ def _found(gray: Array, board: Board, seed: int, samples: MaskedImage | None, *,
         if board.type == CHARUCO:
             from camcal.targets.checker.charuco import find_charuco
 
-            found = find_charuco(gray, board)
+            detection = find_charuco(gray, board)
         else:
             from camcal.targets.checker.chessboard import find_chessboard
 
-            found = find_chessboard(gray, board, partial=partial or board.dots)
-    return measure(samples or MaskedImage(gray), board, found)
+            detection = find_chessboard(gray, board, partial=partial or board.dots)
+    return measure(samples or MaskedImage(gray), board, detection)
 
 
 def require_findable(board: Board, *, partial: bool = False) -> None:

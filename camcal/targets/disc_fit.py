@@ -142,9 +142,9 @@ def minimise(samples: RimSamples, parameters: Array, tone_spread: float, settled
     def enough(tried: Trial) -> Array:
         return np.asarray(2 * tried.promised <= settled)
 
-    found = minimise_each(discs, parameters, np.arange(len(parameters)), _STOPPING, enough=enough)
-    squares = discs.squares(found.states, found.cost)
-    return found.states, squares, found.models.normal * discs.variance(squares)[:, None, None]
+    minima = minimise_each(discs, parameters, np.arange(len(parameters)), _STOPPING, enough=enough)
+    squares = discs.squares(minima.states, minima.cost)
+    return minima.states, squares, minima.models.normal * discs.variance(squares)[:, None, None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,8 +193,8 @@ def _evaluate(parameters: Array, samples: RimSamples) -> tuple[Array, Array]:
     used, axes = samples.used, axes_of(parameters)
     parameters = parameters.astype(np.float32)
     near = rim(samples.x - parameters[:, [0]], samples.y - parameters[:, [1]], axes)
-    own = np.exp(2 * parameters[:, [BLUR]])
-    blur = np.sqrt(np.float32(PIXEL_VARIANCE) + own)
+    variance = np.exp(2 * parameters[:, [BLUR]])
+    blur = np.sqrt(np.float32(PIXEL_VARIANCE) + variance)
     seen = picture(near.distance, near.curvature, blur)
     value = seen.value + samples.others
     level, contrast, tone = (parameters[:, [k]] for k in (LEVEL, CONTRAST, TONE))
@@ -210,7 +210,7 @@ def _evaluate(parameters: Array, samples: RimSamples) -> tuple[Array, Array]:
     jacobian[:, 2] = along[:, 0] * near.unit[:, 0]
     jacobian[:, 3] = along[:, 0] * near.unit[:, 1] + along[:, 1] * near.unit[:, 0]
     jacobian[:, 4] = along[:, 1] * near.unit[:, 1]
-    jacobian[:, BLUR] = gain * seen.by_blur * own / blur
+    jacobian[:, BLUR] = gain * seen.by_blur * variance / blur
     jacobian[:, LEVEL] = light
     jacobian[:, CONTRAST] = light * shown
     jacobian[:, TONE] = light * contrast * bow

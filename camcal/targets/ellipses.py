@@ -163,15 +163,15 @@ def _patches(ellipses: Ellipses) -> Iterator[tuple[Array, float]]:
     off[np.broadcast_to(~fits[:, None], off.shape)] = np.inf
     best = off.argmin(axis=2)
     missed = off.min(axis=2) / np.where(np.isfinite(spacing), spacing, 1.0)[:, None]
-    found = missed < _SEED
-    found[~np.isfinite(spacing)] = False
-    cost = np.where(found, missed, 1.0).sum(axis=1)
-    kept = found[:, :2].all(axis=1)
+    close = missed < _SEED
+    close[~np.isfinite(spacing)] = False
+    cost = np.where(close, missed, 1.0).sum(axis=1)
+    kept = close[:, :2].all(axis=1)
     for row in np.argsort(cost, kind="stable")[: 8 * _SEEDS]:
         if kept[row]:
             patch = np.full((3, 3), _NONE)
             patch[1, 1] = row
-            patch[1, 2], patch[2, 1], patch[1, 0], patch[0, 1] = np.where(found[row], near[row, best[row]], _NONE)
+            patch[1, 2], patch[2, 1], patch[1, 0], patch[0, 1] = np.where(close[row], near[row, best[row]], _NONE)
             yield patch, float(spacing[row])
 
 
@@ -184,8 +184,8 @@ def _grown(ellipses: Ellipses, lattice: Array, spacing: float, longest: int) -> 
         free = np.argwhere(wide == _NONE)
         grid = places(ellipses, wide)
         predicted = grids.predict(grid)[tuple(free.T)]
-        known = ~np.isnan(predicted[:, 0])
-        free, predicted = free[known], predicted[known]
+        predictable = ~np.isnan(predicted[:, 0])
+        free, predicted = free[predictable], predicted[predictable]
         index = np.asarray(tree.query(predicted)[1])
         off = np.linalg.norm(np.einsum("nij,nj->ni", inverse[index], ellipses.centres[index] - predicted), axis=1)
         fits = (off < _STRAY * spacing) & _like(ellipses, wide, free, index) & ~np.isin(index, wide)

@@ -58,16 +58,20 @@ def detect_markers(gray: Array, family: str, *, keep_repeated: bool = False) -> 
     """
     if gray.ndim != 2 or gray.dtype != np.uint8:
         raise InvalidInput(f"markers are found in gray images of 8 bits, not in {gray.dtype} of shape {gray.shape}")
-    known = family_named(family)
-    found = _read(gray, known) if min(gray.shape) > _LEAST_SIDE_PX else []
-    found.sort(key=lambda each: (each[0], *each[1].mean(axis=0)[::-1]))
-    repeated = {} if keep_repeated else _repeated(gray, found, known)
-    single = [each for each in found if each[0] not in repeated]
-    seen = [(marker, fit) for marker, start in single if (fit := _located(gray, start, known, marker)) is not None]
+    drawn_family = family_named(family)
+    read = _read(gray, drawn_family) if min(gray.shape) > _LEAST_SIDE_PX else []
+    read.sort(key=lambda each: (each[0], *each[1].mean(axis=0)[::-1]))
+    repeated = {} if keep_repeated else _repeated(gray, read, drawn_family)
+    single = [each for each in read if each[0] not in repeated]
+    seen = [
+        (marker, fit) for marker, start in single if (fit := _located(gray, start, drawn_family, marker)) is not None
+    ]
     counts = Counter(marker for marker, _ in seen)
     once = [(marker, fit) for marker, fit in seen if keep_repeated or counts[marker] == 1]
-    corners = np.array([known.as_printed(fit.corners) for _, fit in once]).reshape(-1, 4, 2)
-    covariance = np.array([np.roll(fit.covariance, 2 * known.turned, axis=0) for _, fit in once]).reshape(-1, 4, 2, 2)
+    corners = np.array([drawn_family.as_printed(fit.corners) for _, fit in once]).reshape(-1, 4, 2)
+    covariance = np.array([np.roll(fit.covariance, 2 * drawn_family.turned, axis=0) for _, fit in once]).reshape(
+        -1, 4, 2, 2
+    )
     repeated |= {} if keep_repeated else {marker: count for marker, count in counts.items() if count > 1}
     warnings = []
     for marker, count in sorted(repeated.items()):

@@ -155,11 +155,11 @@ class Family:
 
 def family_named(name: str) -> Family:
     """Return a family by its name; 36h11 and the like stand for tag36h11. Raises InvalidInput with the nearest name."""
-    known = {family.lower(): family for family in FAMILIES}
-    full = known.get(f"tag{name}".lower() if _SHORT.fullmatch(name) else name.lower())
+    by_name = {family.lower(): family for family in FAMILIES}
+    full = by_name.get(f"tag{name}".lower() if _SHORT.fullmatch(name) else name.lower())
     if full is None:
-        near = nearest(name.lower(), known, likeness=0.3)
-        advice = f"did you mean {known[near]}?" if near else f"one of {', '.join(FAMILIES)}"
+        near = nearest(name.lower(), by_name, likeness=0.3)
+        advice = f"did you mean {by_name[near]}?" if near else f"one of {', '.join(FAMILIES)}"
         raise InvalidInput(f"marker family {name!r} is unknown; {advice}")
     turned = full in APRILTAGS
     dictionary = f"DICT_APRILTAG_{full.removeprefix('tag')}" if turned else full
@@ -260,7 +260,8 @@ def _bordered(board: Board, ink: Array, steps: Array) -> Pattern:
     for count in (board.columns, board.rows):  # of corners: the second square begins at 0
         inner = (np.arange(count + 1)[:, None] - 1 + steps).ravel()
         lines.append(np.concatenate([[-1 - QUIET], inner, [count, count + QUIET]]) * board.spacing)
-    return Pattern(*lines, np.pad(ink, 1, constant_values=WHITE))
+    x, y = lines
+    return Pattern(x, y, np.pad(ink, 1, constant_values=WHITE))
 
 
 def _aprilgrid(board: Board) -> Pattern:
@@ -278,7 +279,8 @@ def _aprilgrid(board: Board) -> Pattern:
         inner = (np.arange(count)[:, None] * board.spacing + side * np.linspace(0, 1, cells + 1)).ravel()
         outer = np.array([gap, gap + QUIET * board.spacing])
         lines.append(np.concatenate([-outer[::-1], inner, inner[-1] + outer]))
-    return Pattern(*lines, np.pad(ink, 1, constant_values=WHITE))
+    x, y = lines
+    return Pattern(x, y, np.pad(ink, 1, constant_values=WHITE))
 
 
 def _circles(board: Board) -> Pattern:

@@ -69,14 +69,14 @@ def _dark_quadrilaterals(gray: Array, block: int, drop: float) -> Array:
     dark = cv2.adaptiveThreshold(gray, 255, cv2.ADAPTIVE_THRESH_MEAN_C, cv2.THRESH_BINARY_INV, block, drop)
     outlines, _ = cv2.findContours(dark, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
     longest = 2 * sum(gray.shape)
-    found = []
+    quadrilaterals = []
     for outline in outlines:
         if not 4 * _LEAST_SIDE_PX <= len(outline) <= longest:
             continue
         corners = cv2.approxPolyDP(outline, _STRAIGHT * len(outline), closed=True)
         if len(corners) == 4 and cv2.isContourConvex(corners):
-            found.append(corners.reshape(4, 2))
-    corners = np.array(found, dtype=np.float64).reshape(-1, 4, 2)
+            quadrilaterals.append(corners.reshape(4, 2))
+    corners = np.array(quadrilaterals, dtype=np.float64).reshape(-1, 4, 2)
     turned = _cross(corners[:, 1] - corners[:, 0], corners[:, 3] - corners[:, 0]) < 0  # y is down
     clockwise = np.where(turned[:, None, None], corners[:, ::-1], corners)
     sides = np.linalg.norm(clockwise - np.roll(clockwise, 1, axis=1), axis=2)
@@ -244,14 +244,14 @@ def predict(lattice: TagLattice, grid: Array, *, own: bool = False) -> Predicted
 
     The nearest corners are fitted by a homography, each as exact as a lens that distorts leaves it at its distance.
     """
-    nodes, known = lattice.nodes.reshape(-1, 2), ~np.isnan(grid[..., 0]).ravel()
-    away = nodes[known] - nodes[:, None]
+    nodes, present = lattice.nodes.reshape(-1, 2), ~np.isnan(grid[..., 0]).ravel()
+    away = nodes[present] - nodes[:, None]
     distance = np.linalg.norm(away, axis=2)
     if not own:
         distance[distance == 0] = np.inf
     nearest = np.argsort(distance, axis=1, kind="stable")[:, :_NEIGHBOURS]
     away, distance = (np.take_along_axis(v, i, axis=1) for v, i in ((away, nearest[..., None]), (distance, nearest)))
-    seen = grid.reshape(-1, 2)[known][nearest]
+    seen = grid.reshape(-1, 2)[present][nearest]
     weights = np.where(distance < _REACH, 1 / (_EXACT**2 + (_BENT * distance**2) ** 2), 0.0)
     middle = seen.mean(axis=1, keepdims=True)
     size = _radius(seen) / _radius(away)  # px of a tag's side, more or less

@@ -83,15 +83,15 @@ def read_markers(gray: Array, checker: Checker, board: Board) -> MarkerReadings:
     words = cells(board.dictionary or "", board.first_marker, (board.rows + 1) * (board.columns + 1) // 2)
     square, corners = bright_squares(checker)
     share = (board.marker or 0.0) / board.spacing
-    seen, clear = read_bits(gray, corners, share, words.shape[1], checker.contrast)
-    square, seen = square[clear], seen[clear]
+    bits, clear = read_bits(gray, corners, share, words.shape[1], checker.contrast)
+    square, bits = square[clear], bits[clear]
     if not len(square):
         return MarkerReadings(square, np.zeros(0, np.intp), np.zeros(0, np.intp), 0)
-    marker, turn, wrong = nearest(seen, words[:, 1:-1, 1:-1])
-    behind = nearest(seen, words[:, 1:-1, -2:0:-1])[2]
-    known = wrong * WRONG_BITS <= seen[0].size
-    mirrored = int((~known & (behind * WRONG_BITS <= seen[0].size)).sum())
-    return MarkerReadings(square[known], marker[known], turn[known], mirrored)
+    marker, turn, wrong = nearest(bits, words[:, 1:-1, 1:-1])
+    behind = nearest(bits, words[:, 1:-1, -2:0:-1])[2]
+    legible = wrong * WRONG_BITS <= bits[0].size
+    mirrored = int((~legible & (behind * WRONG_BITS <= bits[0].size)).sum())
+    return MarkerReadings(square[legible], marker[legible], turn[legible], mirrored)
 
 
 def board_placement(reading: MarkerReadings, board: Board, legacies: Sequence[bool]) -> BoardPlacement | None:
@@ -105,9 +105,7 @@ def board_placement(reading: MarkerReadings, board: Board, legacies: Sequence[bo
 @lru_cache(maxsize=16)
 def cells(dictionary: str, first: int, count: int) -> Array:
     """Return the cells (count, n, n) of markers from the id `first` on, border included, 1 where bright."""
-    words = opencv.marker_dictionary(dictionary)
-    side = words.markerSize + 2
-    return np.stack([words.generateImageMarker(first + marker, side) for marker in range(count)]) / 255.0
+    return family_named(dictionary).printed(range(first, first + count))
 
 
 def bright_squares(checker: Checker) -> tuple[Array, Array]:
@@ -219,12 +217,14 @@ def find_charuco(gray: Array, board: Board) -> BoardDetection:
     Raises InvalidInput if the dictionary is unknown or too small.
     """
     require_markers(board)
-    found, bare = _find(gray, board)
+    detection, bare = _find(gray, board)
     white = np.asarray(WHITE - gray)
-    if found.found or not any(len(read_markers(white, each.inverted, board).marker) >= LEAST_VOTES for each in bare):
-        return found
+    if detection.found or not any(
+        len(read_markers(white, each.inverted, board).marker) >= LEAST_VOTES for each in bare
+    ):
+        return detection
     inverted, _ = _find(white, board)
-    return replace(inverted, inverted=True) if inverted.found else found
+    return replace(inverted, inverted=True) if inverted.found else detection
 
 
 def arrangement_votes(gray: Array, boards: Sequence[Board]) -> IntArray:

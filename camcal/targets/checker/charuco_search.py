@@ -136,10 +136,10 @@ def _layouts(gray: Array, start: Array, first: int) -> Sequence[CharucoLayout]:
     ratio = _marker_ratio(gray, corners, checker.contrast)
     if ratio is None:
         return ()
-    found = list(_readings(gray, checker, square, corners, ratio, first))
-    found.sort(key=lambda layouts: -layouts[0].votes)
-    unique = found and (len(found) == 1 or found[1][0].votes <= _RUNNER_UP * found[0][0].votes)
-    return found[0] if unique else ()
+    readings = list(_readings(gray, checker, square, corners, ratio, first))
+    readings.sort(key=lambda layouts: -layouts[0].votes)
+    unique = readings and (len(readings) == 1 or readings[1][0].votes <= _RUNNER_UP * readings[0][0].votes)
+    return readings[0] if unique else ()
 
 
 def _marker_ratio(gray: Array, corners: Array, contrast: float) -> float | None:
@@ -177,20 +177,20 @@ def _readings(
         for name in names if clear.sum() >= _LEAST_VOTES else ():
             words = cells(name, 0, family_named(name).count)[:, 1:-1, 1:-1]
             marker, turn, wrong = nearest(seen[clear], words)
-            known = wrong * WRONG_BITS <= bits * bits
+            legible = wrong * WRONG_BITS <= bits * bits
             least = max(_LEAST_VOTES, _LEAST_SHARE * int(clear.sum()))
-            found: list[CharucoLayout] = []
+            layouts: list[CharucoLayout] = []
             for quarters, rotation in enumerate(map(np.array, TURNS)):
-                same = known & (turn == quarters)
+                same = legible & (turn == quarters)
                 if same.sum() >= _LEAST_VOTES:
                     # around each of the pattern's corners there are four squares
                     ends = np.sort((np.array([(0, 0), checker.found.shape]) - 0.5) @ rotation.T, axis=0)
                     height, width = np.rint(ends[1] - ends[0] + 1).astype(int).tolist()
                     place = np.rint((square[clear][same] - 0.5) @ rotation.T - ends[0]).astype(np.intp)
-                    found += _agreed(place, marker[same], (height, width), name, ratio, first)
-            most = max((layout.votes for layout in found), default=0)
+                    layouts += _agreed(place, marker[same], (height, width), name, ratio, first)
+            most = max((layout.votes for layout in layouts), default=0)
             if most >= least:
-                yield [layout for layout in dict.fromkeys(found) if layout.votes == most]
+                yield [layout for layout in dict.fromkeys(layouts) if layout.votes == most]
 
 
 def _agreed(
@@ -249,9 +249,10 @@ def _verified(gray: Array, layout: CharucoLayout, like: Board) -> tuple[int, Cha
 
 def is_like(layout: CharucoLayout, board: Board) -> bool:
     """Return whether a layout is what a board may stand for, but for a marker that is read alike."""
-    found = layout.board(board)
+    proposed = layout.board(board)
     return any(
-        replace(each, legacy=each.legacy if found.legacy is not None else None) == found for each in arrangements(board)
+        replace(each, legacy=each.legacy if proposed.legacy is not None else None) == proposed
+        for each in arrangements(board)
     )
 
 

@@ -67,11 +67,11 @@ class Checker:
 
 
 @dataclass(frozen=True, eq=False)
-class _NodeMeasurements:
+class NodeMeasurements:
     """What is seen at the nodes of a grid (rows, columns), NaN where not examined.
 
     contrast: gray levels, its sign changed on every other node so that a checker pattern has one sign.
-    moved: steps from the start.
+    moved: steps, or sides of a tag, from the start.
     """
 
     grid: Array
@@ -150,10 +150,10 @@ def _hinted(gray: Array, places: Array, where: Array, checker: Checker) -> Array
     """Return where (rows, columns), by contrast, there may be one more corner just at its place beyond a pattern."""
     where = where & ~np.isnan(places[..., 0])
     row, column = np.nonzero(where)
-    found = measure_saddles_at(gray, places[where], grids.steps(places)[where], CLEARANCE)
-    contrast = found.contrast * np.where((row + column) % 2, -1, 1)
+    saddles = measure_saddles_at(gray, places[where], grids.steps(places)[where], CLEARANCE)
+    contrast = saddles.contrast * np.where((row + column) % 2, -1, 1)
     result = np.zeros(where.shape, dtype=bool)
-    result[where] = (checker.sign * contrast > HINT * checker.contrast) & (found.agreement > HINT)
+    result[where] = (checker.sign * contrast > HINT * checker.contrast) & (saddles.agreement > HINT)
     return result
 
 
@@ -165,13 +165,13 @@ def _sides(there: Array) -> tuple[bool, bool, bool, bool]:
 
 def with_hidden_corners(gray: Array, checker: Checker, clearance: float) -> Checker:
     """Return the checker with missing corners that are seen where all the others put them, as behind a hand."""
-    known = checker.found
-    if known.sum() < MAPPED or known.all():
+    found = checker.found
+    if found.sum() < MAPPED or found.all():
         return checker
-    row, column = np.indices(known.shape)
+    row, column = np.indices(found.shape)
     nodes = np.stack([column, row], axis=-1).astype(np.float64)
-    seen = map_of(nodes[known], checker.grid[known], (gray.shape[1], gray.shape[0]))
-    return _fill(gray, checker, seen.pixels(nodes.reshape(-1, 2)).reshape(nodes.shape), clearance)
+    board_map = map_of(nodes[found], checker.grid[found], (gray.shape[1], gray.shape[0]))
+    return _fill(gray, checker, board_map.pixels(nodes.reshape(-1, 2)).reshape(nodes.shape), clearance)
 
 
 def _fill(gray: Array, checker: Checker, predicted: Array, clearance: float) -> Checker:
@@ -187,30 +187,28 @@ def clear_corners(gray: Array, checker: Checker, clearance: float = CLEARANCE) -
 
     One that a finger touches, or a shadow's edge, would be drawn towards it.
     """
-    known, grid = checker.found, checker.grid.copy()
-    if known.any():
-        found = measure_saddles_at(gray, grid[known], grids.steps(grid)[known], clearance)
-        unlike = 1 - found.agreement
-        clear = (found.agreement > AGREEMENT) & (unlike < DISTURBED + TIMES_USUAL * np.median(unlike))
-        grid[known] = np.where(clear[:, None], grid[known], np.nan)
+    found, grid = checker.found, checker.grid.copy()
+    if found.any():
+        saddles = measure_saddles_at(gray, grid[found], grids.steps(grid)[found], clearance)
+        unlike = 1 - saddles.agreement
+        clear = (saddles.agreement > AGREEMENT) & (unlike < DISTURBED + TIMES_USUAL * np.median(unlike))
+        grid[found] = np.where(clear[:, None], grid[found], np.nan)
     return grid
 
 
-def _measured_nodes(
-    gray: Array, grid: Array, where: Array, clearance: float, *, far: bool = False
-) -> _NodeMeasurements:
+def _measured_nodes(gray: Array, grid: Array, where: Array, clearance: float, *, far: bool = False) -> NodeMeasurements:
     """Return what is seen near the nodes `where` (rows, columns) of a grid; far: the corners may be steps/2 away."""
     shape = grid.shape[:2]
-    result = _NodeMeasurements(grid.copy(), np.full(shape, np.nan), np.full(shape, np.nan), np.full(shape, np.nan))
+    result = NodeMeasurements(grid.copy(), np.full(shape, np.nan), np.full(shape, np.nan), np.full(shape, np.nan))
     if not where.any():
         return result
     steps = grids.steps(grid)[where]
-    found = measure_saddles(gray, grid[where], steps, clearance, far=far)
+    saddles = measure_saddles(gray, grid[where], steps, clearance, far=far)
     row, column = np.nonzero(where)
-    result.grid[where] = found.pixels
-    result.contrast[where] = found.contrast * np.where((row + column) % 2, -1, 1)
-    result.agreement[where] = found.agreement
-    result.moved[where] = np.linalg.norm(found.pixels - grid[where], axis=1) / np.maximum(grids.spacing(steps), 1e-9)
+    result.grid[where] = saddles.pixels
+    result.contrast[where] = saddles.contrast * np.where((row + column) % 2, -1, 1)
+    result.agreement[where] = saddles.agreement
+    result.moved[where] = np.linalg.norm(saddles.pixels - grid[where], axis=1) / np.maximum(grids.spacing(steps), 1e-9)
     return result
 
 

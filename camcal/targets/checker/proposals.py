@@ -144,7 +144,7 @@ def patterns(saddles: Saddles) -> list[Array]:
     if len(saddles.pixels) < LEAST:
         return []
     links = _around_squares(saddles, _links(saddles))
-    found, taken = [], np.zeros(len(links), dtype=bool)
+    corner_grids, taken = [], np.zeros(len(links), dtype=bool)
     for seed in np.argsort(-(links >= 0).sum(axis=1), kind="stable"):
         if taken[seed] or (links[seed] < 0).all():
             continue
@@ -154,8 +154,8 @@ def patterns(saddles: Saddles) -> list[Array]:
             row, column = (np.array(list(places.values())) - np.min(list(places.values()), axis=0)).T
             grid = np.full((row.max() + 1, column.max() + 1, 2), np.nan)
             grid[row, column] = saddles.pixels[list(places)]
-            found.append(grid)
-    return sorted(found, key=grids.area, reverse=True)
+            corner_grids.append(grid)
+    return sorted(corner_grids, key=grids.area, reverse=True)
 
 
 def _links(saddles: Saddles) -> Array:

@@ -289,20 +289,20 @@ def remeasure(samples: MaskedImage, view: BoardDetection, expected: Expected) ->
     ids, pixels = view.ids, view.pixels
     start = expected.pixels.copy()
     start[ids] = pixels
-    known = np.zeros(len(start), np.bool_)
-    known[ids] = True
-    chosen = np.flatnonzero((known | expected.inside) & np.isfinite(expected.cells.bends).all(axis=1))
+    measured = np.zeros(len(start), np.bool_)
+    measured[ids] = True
+    chosen = np.flatnonzero((measured | expected.inside) & np.isfinite(expected.cells.bends).all(axis=1))
     blur = blur_of(samples.values, pixels)
     corners = refine(samples.values, start[chosen], expected.cells.take(chosen), blur, samples.sites)
     good = clear(corners)
     contrast = np.where(good, corners.contrast * expected.signs[chosen], 0.0)
-    good &= contrast * np.sign(contrast[known[chosen]].sum()) > 0
+    good &= contrast * np.sign(contrast[measured[chosen]].sum()) > 0
     moved = np.linalg.norm(corners.pixels - start[chosen], axis=1)
-    before = good & known[chosen] & (moved < _DRAWN)
+    before = good & measured[chosen] & (moved < _DRAWN)
     if not before.any():
         return view
     step = np.linalg.norm(expected.cells.steps[chosen], axis=1).min(axis=1)
-    fresh = good & ~known[chosen] & (moved < np.maximum(_OFF * step, _OFF_PX))
+    fresh = good & ~measured[chosen] & (moved < np.maximum(_OFF * step, _OFF_PX))
     fresh &= np.abs(contrast) > _FAINT * np.median(np.abs(contrast[before]))
     fresh &= corners.noise < _SURE * np.median(corners.noise[before])
     fresh &= (corners.blur < _SURE * np.median(corners.blur[before])).all(axis=1)

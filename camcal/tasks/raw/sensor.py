@@ -109,12 +109,12 @@ def find_sets(
 
 def _files_of(one: Path | str, exposure_s: float | None) -> list[FrameSet]:
     """Return the files of an input, each by itself, with what their folders' names tell."""
-    found = []
+    files = []
     for path in find_images([one], recursive=True, also=HEADERLESS_SUFFIXES):
         exposure, iso = _EXPOSURE.search(path.parent.name), _ISO.search(path.parent.name)
         named = float(exposure[1]) * _SECONDS[exposure[2].lower()] if exposure else None
-        found.append(FrameSet((path,), named if exposure_s is None else exposure_s, float(iso[1]) if iso else None))
-    return found
+        files.append(FrameSet((path,), named if exposure_s is None else exposure_s, float(iso[1]) if iso else None))
+    return files
 
 
 def _read(item: FrameSet, reading: RawInput) -> FrameSet:
@@ -170,8 +170,8 @@ def sensor(options: SensorOptions, progress: Progress = SILENT) -> SensorReport:
     if options.sensor_format is not None:
         sensor_format(options.sensor_format)
     darks = _sets(options, progress)
-    known = [one.mean for one in darks if one.mean is not None]
-    flats = _sets(options, progress, black=min(known, default=0.0))
+    dark_means = [one.mean for one in darks if one.mean is not None]
+    flats = _sets(options, progress, black=min(dark_means, default=0.0))
     iso, flats, darks = _at_one_speed(flats, darks, options.iso)
     of_light, of_darkness = ({path for one in sets for path in one.paths} for sets in (flats, darks))
     if both := of_light & of_darkness:
@@ -180,21 +180,21 @@ def sensor(options: SensorOptions, progress: Progress = SILENT) -> SensorReport:
     firsts = [one.paths[0] for one in (*flats, *darks)]
     spread = widened(values_of(fan_out(look, firsts, jobs=options.jobs, what="looking at counts", progress=progress)))
     work = partial(_measure, reading=options.reading, white=options.white, spread=spread)
-    found = characterise(
+    characterised = characterise(
         *(
             values_of(fan_out(work, sets, jobs=options.jobs, what="measuring frames", progress=progress))
             for sets in (flats, darks)
         )
     )
-    warnings = (*_counts_warnings(found, spread, options), *found.warnings)
+    warnings = (*_counts_warnings(characterised, spread, options), *characterised.warnings)
     name = options.sensor_format
-    pitch = options.pitch if name is None else pixel_pitch(sensor_format(name), found.size)
-    report = SensorReport(found, tuple(flats), tuple(darks), iso, pitch, warnings)
+    pitch = options.pitch if name is None else pixel_pitch(sensor_format(name), characterised.size)
+    report = SensorReport(characterised, tuple(flats), tuple(darks), iso, pitch, warnings)
     if options.plot is not None:
-        files.write_bytes(options.plot, encoded(characterisation(found), options.plot.suffix))
+        files.write_bytes(options.plot, encoded(characterisation(characterised), options.plot.suffix))
     files.write_text(options.output, emit.document(_file(report, options), COMMENT))
     warn_of(warnings, progress)
-    return replace(report, figures=write_figures(options.figures, sensor_plots(found)))
+    return replace(report, figures=write_figures(options.figures, sensor_plots(characterised)))
 
 
 def _sets(options: SensorOptions, progress: Progress, black: float | None = None) -> list[FrameSet]:
@@ -254,27 +254,27 @@ def _counts_warnings(found: Characterisation, spread: Widened | None, options: S
 
 def sensor_block(report: SensorReport) -> dict[str, Any]:
     """Return the block `sensor` of a camera file."""
-    found, white = report.sensor.figures, report.sensor.white
+    figures, white = report.sensor.figures, report.sensor.white
     return {
         "pixel_pitch_um": None if report.pitch is None else 1e6 * report.pitch,
-        "gain_e_per_dn": 1 / found.gain_dn_per_e.value,
-        "read_noise_e": found.read_noise_e.value,
-        "full_well_e": found.full_well_e.value,
-        "black_level_dn": max(found.black_dn.value, 0.0),
+        "gain_e_per_dn": 1 / figures.gain_dn_per_e.value,
+        "read_noise_e": figures.read_noise_e.value,
+        "full_well_e": figures.full_well_e.value,
+        "black_level_dn": max(figures.black_dn.value, 0.0),
         # A file of 16 bits may hold fewer: then the largest one is never seen.
         "bits": ceil(log2(white + 1)) if report.sensor.peak > white / 2 else None,
     }
 
 
 def _file(report: SensorReport, options: SensorOptions) -> dict[str, Any]:
-    found = report.sensor
+    sensor = report.sensor
     images = [{"file": path.as_posix()} for one in (*report.flats, *report.darks) for path in one.paths]
     return {
         "format": SENSOR,
         "version": VERSION,
         **_content(report),
         "warnings": list(map(str, report.warnings)),
-        "curves": {name: _curve(curve) for name, curve in found.curves.items()},
+        "curves": {name: _curve(curve) for name, curve in sensor.curves.items()},
         "provenance": provenance.build(command_line("sensor", options), None, images),
     }
 
@@ -286,17 +286,17 @@ def document(report: SensorReport, options: SensorOptions) -> dict[str, Any]:
 
 
 def _content(report: SensorReport) -> dict[str, Any]:
-    found = report.sensor
+    sensor = report.sensor
     return {
-        "image_size": list(found.size),
+        "image_size": list(sensor.size),
         "iso": report.iso,
         "levels": {"flat": len(report.flats), "dark": len(report.darks)},
         "sensor": {key: value for key, value in sensor_block(report).items() if value is not None},
-        "saturation": found.saturation,
-        "rounding_limited": found.limited,
-        "figures": _numbers(found.figures),
-        "dynamic_range_stops": found.dynamic_range_stops,
-        "phases": {name: _numbers(part) for name, part in found.phases.items()},
+        "saturation": sensor.saturation,
+        "rounding_limited": sensor.limited,
+        "figures": _numbers(sensor.figures),
+        "dynamic_range_stops": sensor.dynamic_range_stops,
+        "phases": {name: _numbers(part) for name, part in sensor.phases.items()},
     }
 
 
@@ -322,9 +322,9 @@ def rows(part: Figures) -> list[list[Any]]:
 
 
 def _curve(curve: Curve) -> dict[str, Any]:
-    known = bool(np.isfinite(curve.exposure_s).all())
+    timed = bool(np.isfinite(curve.exposure_s).all())
     return {
-        "exposure_s": curve.exposure_s.tolist() if known else None,
+        "exposure_s": curve.exposure_s.tolist() if timed else None,
         "signal_dn": curve.signal.tolist(),
         "variance_dn2": curve.variance.tolist(),
         "fitted": curve.fitted.tolist(),
