@@ -89,7 +89,7 @@ def require_allowed(path: Path, content: bytes) -> None:
     try:
         size = stated_size(content)
     except ValueError as error:
-        raise FileError(f"{_damaged(content)}: {error}", where=str(path)) from error
+        raise FileError(f"{_describe_damage(content)}: {error}", where=str(path)) from error
     if size is not None:
         require_pixels(size, path)
 
@@ -163,10 +163,10 @@ def _decode(path: Path, content: bytes) -> Array:
 
 def _unreadable(path: Path, content: bytes) -> FileError:
     advice = conversion_advice([foreign_suffix(content)])
-    return FileError(advice or _damaged(content), where=str(path))
+    return FileError(advice or _describe_damage(content), where=str(path))
 
 
-def _damaged(content: bytes) -> str:
+def _describe_damage(content: bytes) -> str:
     kind = next((name for start, name in _STARTS.items() if content.startswith(start)), None)
     if kind is None:
         return f"unknown image format (begins with {content[:8]!r})"
@@ -310,7 +310,7 @@ def save(path: Path, image: Image | Array, *, quality: int = JPEG_QUALITY) -> No
     if path.suffix.lower() == ".npy":
         write_npy(path, image.pixels)
     else:
-        files.write_bytes(path, _with_metadata(_encoded(path, image.pixels, quality), image))
+        files.write_bytes(path, _with_metadata(_encode(path, image.pixels, quality), image))
 
 
 def require_kind(path: Path, image: Image) -> None:
@@ -324,7 +324,7 @@ def require_kind(path: Path, image: Image) -> None:
     raise InvalidInput(f"{held}; use one of {', '.join(fitting)}", where=str(path))
 
 
-def _encoded(path: Path, pixels: Array, quality: int) -> bytes:
+def _encode(path: Path, pixels: Array, quality: int) -> bytes:
     suffix = path.suffix.lower()
     parameters = {
         _JPEG: [cv2.IMWRITE_JPEG_QUALITY, quality],

@@ -149,7 +149,7 @@ def build_maps(
     width, height = view.image_size
     x, y = np.empty((2, height, width), np.float32)
     for rows, band in exact_bands(trace) if interpolation == NEAREST_TRUNCATE else bands(trace):
-        x[rows], y[rows] = _settled(band, source.image_size, interpolation)
+        x[rows], y[rows] = _settle(band, source.image_size, interpolation)
     x.setflags(write=False)
     y.setflags(write=False)
     return Maps(x, y, source.image_size, interpolation)
@@ -165,11 +165,11 @@ def align_channels(maps: Maps, lenses: Mapping[str, Camera], view: Camera) -> Ma
     unknown = sorted(set(lenses) - set(CHANNELS))
     if unknown:
         raise InvalidInput(f"channel {unknown[0]!r} is not an image channel; use one of {', '.join(CHANNELS)}")
-    aligned = {CHANNELS.index(colour): _followed(maps, lens, view) for colour, lens in lenses.items()}
+    aligned = {CHANNELS.index(colour): _follow(maps, lens, view) for colour, lens in lenses.items()}
     return replace(maps, aligned=MappingProxyType(aligned))
 
 
-def _followed(maps: Maps, lens: Camera, view: Camera) -> Maps:
+def _follow(maps: Maps, lens: Camera, view: Camera) -> Maps:
     """Return the maps of a lens with a source exactly where other maps have one; theirs, where it shows nothing."""
     x, y = np.empty((2, *maps.x.shape), np.float32)
     largest = np.array(maps.source_size, np.float32)[:, None, None] - 1
@@ -190,7 +190,7 @@ def _round_band(band: Array, interpolation: str) -> Array:
     return np.floor(band + _POSITION_TOLERANCE, out=band) if interpolation == NEAREST_TRUNCATE else band
 
 
-def _settled(band: Array, source_size: tuple[int, int], interpolation: str) -> Array:
+def _settle(band: Array, source_size: tuple[int, int], interpolation: str) -> Array:
     """Return positions (2, rows, W) rounded where asked for, on the border if a hair outside, else far outside."""
     band = _round_band(band, interpolation)
     largest = np.array(source_size, band.dtype)[:, None, None] - 1

@@ -30,7 +30,7 @@ def frames(path: Path) -> Iterator[Image]:
 
     Raises FileError if the file is missing or no video, and after the last frame if many are missing.
     """
-    with _opened(path) as capture:
+    with _open(path) as capture:
         yield from _read(path, capture)
 
 
@@ -40,7 +40,7 @@ def frame_name(video: Path, number: int) -> str:
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[cv2.VideoCapture]:
+def _open(path: Path) -> Iterator[cv2.VideoCapture]:
     if not path.is_file() or path.stat().st_size == 0:
         raise FileError("is empty" if path.is_file() else "no such file", where=str(path))
     capture = cv2.VideoCapture(str(local(path)))
@@ -60,7 +60,7 @@ def stamps(path: Path) -> Array | None:
 
     Raises FileError if the file is missing or no video.
     """
-    with _opened(path) as capture:
+    with _open(path) as capture:
         times = []
         while capture.grab():
             times.append(capture.get(cv2.CAP_PROP_POS_MSEC) / 1000)

@@ -139,10 +139,10 @@ def _edge_aware(job: Job) -> Array:
     if job.values.dtype == np.float32:
         counts, scale = _sixteen_bits(job)
         return np.asarray(edge_aware(counts, job.pattern) / scale)
-    return _capped(edge_aware)(job)
+    return _cap(edge_aware)(job)
 
 
-def _capped(function: Callable[[Array, str], Array]) -> Callable[[Job], Array]:
+def _cap(function: Callable[[Array, str], Array]) -> Callable[[Job], Array]:
     """Return a filter whose result ends at the white level."""
 
     def run(job: Job) -> Array:
@@ -161,13 +161,13 @@ ALGORITHMS: Mapping[str, Algorithm] = MappingProxyType(
         "malvar": Algorithm(
             "linear 5 x 5 filters: fast", lambda job: malvar(job.values, job.pattern, job.white, each=job.each)
         ),
-        "bilinear": Algorithm("the mean of the nearest samples: fastest", _capped(bilinear)),
+        "bilinear": Algorithm("the mean of the nearest samples: fastest", _cap(bilinear)),
         "ea": Algorithm("OpenCV's edge-aware filter", _edge_aware),
         "vng": Algorithm(
             "variable number of gradients", lambda job: vng(job.values, job.pattern, job.white, each=job.each)
         ),
-        HALF: Algorithm("one pixel per cell, half the size: not for calibration", _capped(half)),
-        GREEN: Algorithm("one channel: green, its gaps filled; for calibration, whatever the lens", _capped(green)),
+        HALF: Algorithm("one pixel per cell, half the size: not for calibration", _cap(half)),
+        GREEN: Algorithm("one channel: green, its gaps filled; for calibration, whatever the lens", _cap(green)),
         GRAY: Algorithm(
             "one channel: the balanced mosaic; for calibration, if the lens has no lateral colour",
             lambda job: job.values,

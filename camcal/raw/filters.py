@@ -208,11 +208,11 @@ class _GradientDirection(NamedTuple):
 
     def turned(self) -> "_GradientDirection":
         """Return the way after a quarter turn."""
-        changes = tuple((_turned(one), _turned(other), weight) for one, other, weight in self.changes)
-        return _GradientDirection(changes, tuple(map(_turned, self.seen)))
+        changes = tuple((_turn(one), _turn(other), weight) for one, other, weight in self.changes)
+        return _GradientDirection(changes, tuple(map(_turn, self.seen)))
 
 
-def _turned(step: _Step) -> _Step:
+def _turn(step: _Step) -> _Step:
     return step[1], -step[0]
 
 
@@ -279,7 +279,7 @@ def _find_by_gradients(tile: Tile, bayer: Bayer) -> Missing:
 
 
 @cache
-def _located(place: int, step: _Step) -> tuple[int, _Step]:
+def _locate(place: int, step: _Step) -> tuple[int, _Step]:
     """Return the place within the cell, and the step in cells, that a step from a place leads to."""
     (down, row), (right, column) = (divmod(start + way, 2) for start, way in zip(divmod(place, 2), step, strict=True))
     return 2 * row + column, (down, right)
@@ -293,11 +293,11 @@ class _Surroundings:
         self.colour = PLACES[place]
 
     def __getitem__(self, step: _Step) -> Array:
-        place, cell = _located(self._place, step)
+        place, cell = _locate(self._place, step)
         return self._bayer[place][cell]
 
     def colour_at(self, step: _Step) -> str:
-        return PLACES[_located(self._place, step)[0]]
+        return PLACES[_locate(self._place, step)[0]]
 
 
 def _find_missing(tile: Tile, around: _Surroundings) -> dict[str, Plane]:

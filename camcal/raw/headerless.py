@@ -92,7 +92,7 @@ def read_headerless(path: Path, layout: Layout) -> tuple[Array, str]:
     several and the layout names none, or samples are larger than the format allows.
     """
     length = length_of(path)
-    frame = _chosen_frame(path, length, layout)
+    frame = _choose_frame(path, length, layout)
     start = layout.offset + frame * layout.frame_step
     try:  # nothing else of what may be a long recording
         content = np.fromfile(path, np.uint8, layout.frame_bytes, offset=start)
@@ -108,16 +108,18 @@ def read_headerless(path: Path, layout: Layout) -> tuple[Array, str]:
     return values, layout.colours
 
 
-def _chosen_frame(path: Path, length: int, layout: Layout) -> int:
+def _choose_frame(path: Path, length: int, layout: Layout) -> int:
     """Return the frame to read of a file of `length` bytes, which must hold a whole number of them."""
     length_of_frames, needed = length - layout.offset, layout.frame_bytes
     padding = layout.frame_step - needed  # of the last row, which many writers leave out
     count, rest = divmod(length_of_frames + padding, layout.frame_step)
     if count < 1:
-        raise FileError(f"{layout} needs {needed} bytes, found {_found(length, layout)}", where=str(path))
+        raise FileError(f"{layout} needs {needed} bytes, found {_count_bytes(length, layout)}", where=str(path))
     if rest not in (0, padding):
         whole = f"{count} frame{'s' * (count > 1)} of {needed} bytes"
-        raise FileError(f"{layout} leaves surplus bytes after {whole}: found {_found(length, layout)}", where=str(path))
+        raise FileError(
+            f"{layout} leaves surplus bytes after {whole}: found {_count_bytes(length, layout)}", where=str(path)
+        )
     if layout.frame is None and count > 1:
         message = f"holds {count} frames if it is {layout}; give --frame 0 … {count - 1}, or the format and size it has"
         raise InvalidInput(f"{message}: {_offer(length - layout.offset)}", where=str(path))
@@ -126,7 +128,7 @@ def _chosen_frame(path: Path, length: int, layout: Layout) -> int:
     return layout.frame or 0
 
 
-def _found(length: int, layout: Layout) -> str:
+def _count_bytes(length: int, layout: Layout) -> str:
     after = f" after an offset of {layout.offset}" if layout.offset else ""
     return f"{max(length - layout.offset, 0)}{after}; {_offer(length - layout.offset)}"
 

@@ -79,12 +79,12 @@ def colour_differences(tile: Tile, bayer: Bayer) -> tuple[Plane, Plane]:
     """Return green minus red at the red samples and green minus blue at the blue ones."""
     rows = _line(tile, bayer.red, bayer.right, bayer.below, bayer.blue, (0, 1))
     columns = _line(tile, bayer.red, bayer.below, bayer.right, bayer.blue, (1, 0))
-    at_red = _fused(
+    at_red = _fuse(
         tile,
         _Sides(rows.red, rows.by_red, rows.red_side, (0, 1), first=True),
         _Sides(columns.red, columns.by_red, columns.red_side, (1, 0), first=True),
     )
-    at_blue = _fused(
+    at_blue = _fuse(
         tile,
         _Sides(rows.blue, rows.by_blue, rows.blue_side, (0, 1), first=False),
         _Sides(columns.blue, columns.by_blue, columns.blue_side, (1, 0), first=False),
@@ -228,7 +228,7 @@ class _Sides(NamedTuple):
     first: bool
 
 
-def _fused(tile: Tile, rows: _Sides, columns: _Sides) -> Plane:
+def _fuse(tile: Tile, rows: _Sides, columns: _Sides) -> Plane:
     """Return the mean of the differences on the four sides of every sample, each weighted by 1 / roughness."""
     along_rows, roughness_of_rows = _both_sides(tile, rows)
     along_columns, roughness_of_columns = _both_sides(tile, columns)

@@ -286,12 +286,12 @@ class TiledMosaic:
         rows, columns = ((length + first + 1) // 2 for length, first in zip(values.shape, self._offset, strict=True))
         self.cells = Box(0, 0, rows + rows % 2, columns + columns % 2)
         self._margin, self._scale = margin, scale
-        self._source = self._mirrored(values)
+        self._source = self._mirror(values)
         self._numbers = np.empty((4, len(self._source) // 2, self._source.shape[1] // 2), np.float32)
         self._colour = np.empty((2 * self.cells.rows, 2 * self.cells.columns, 3), values.dtype)
         self._spare: deque[Tile] = deque()
 
-    def _mirrored(self, values: Array) -> Array:
+    def _mirror(self, values: Array) -> Array:
         """Return the mosaic, continued about its border pixels: that keeps the colours in their places."""
         (down, right), (height, width) = self._offset, values.shape
         margin = 2 * self._margin

@@ -92,7 +92,7 @@ def find_aprilgrid(gray: Array, board: Board, samples: MaskedImage | None = None
         if seen.right >= ENOUGH and not seen.wrong:
             break
     if not best.right:
-        return _unseen(gray, board, lattice)
+        return _explain_absence(gray, board, lattice)
     if best.wrong > best.right:
         layout = f"{board.columns} x {board.rows}"
         reason = f"tag positions do not match a board of {layout} tags: check its size"
@@ -142,7 +142,7 @@ def _follow(gray: Array, lattice: TagLattice, start: Array, off_px: float) -> _T
 
     off_px: how far those of the tags may be off.
     """
-    nodes = _measured_nodes(gray, lattice, start, predict(lattice, start), np.full(start.shape[:2], off_px))
+    nodes = _measure_nodes(gray, lattice, start, predict(lattice, start), np.full(start.shape[:2], off_px))
     crossing = nodes.crossing(MOVED) & (nodes.contrast > 0)
     if not crossing.any():
         return _TagCorners.nothing(lattice)
@@ -162,12 +162,12 @@ def _grow(gray: Array, lattice: TagLattice, seen: _TagCorners) -> _TagCorners:
     off = np.linalg.norm(predicted.places - seen.grid, axis=-1) / side
     grid = np.where((off > STRAY + 2 * predicted.spread)[..., None], np.nan, seen.grid)
     missing = np.where(seen.found[..., None], np.nan, predicted.places)
-    nodes = _measured_nodes(gray, lattice, missing, predicted, predicted.spread * side)
+    nodes = _measure_nodes(gray, lattice, missing, predicted, predicted.spread * side)
     new = nodes.crossing(MOVED) & (nodes.contrast > CONTRAST * seen.contrast)
     return _TagCorners(np.where(new[..., None], nodes.grid, grid), seen.contrast)
 
 
-def _measured_nodes(
+def _measure_nodes(
     gray: Array, lattice: TagLattice, places: Array, predicted: Predicted, off_px: Array
 ) -> NodeMeasurements:
     """Return what is seen near the places (2 rows, 2 columns, 2) px that are not NaN and lie in the image.
@@ -240,7 +240,7 @@ def _measure(samples: MaskedImage, lattice: TagLattice, seen: _TagCorners, side:
     )
 
 
-def _unseen(gray: Array, board: Board, lattice: TagLattice) -> BoardDetection:
+def _explain_absence(gray: Array, board: Board, lattice: TagLattice) -> BoardDetection:
     """Return why the tags of a board are not found: there are none, others, or only their mirror images."""
     codes = codes_of(str(board.dictionary))
     expected = np.arange(len(codes))[board.first_marker :][: lattice.count]

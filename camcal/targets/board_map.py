@@ -130,11 +130,11 @@ def _radial(points: Array, pixels: Array, size: tuple[int, int]) -> Radial:
         return best
     place, off = np.zeros(5), _residuals(points, pixels, best)
     for _ in range(_ROUNDS):
-        nearby = [_moved(best, step) for step in _STEP * np.eye(5)]
+        nearby = [_move(best, step) for step in _STEP * np.eye(5)]
         slopes = np.stack([(_residuals(points, pixels, other) - off) / _STEP for other in nearby], axis=1)
         design, wanted = np.concatenate([slopes, np.diag(_HELD)]), np.concatenate([off, _HELD * place])
         step = -np.linalg.lstsq(design, wanted, rcond=None)[0]
-        trial = _moved(best, step)
+        trial = _move(best, step)
         trial_off = _residuals(points, pixels, trial)
         if not (trial_off**2).sum() < _REQUIRED_DECREASE * (off**2).sum():
             break
@@ -147,7 +147,7 @@ def _undistorted(size: tuple[int, int]) -> Radial:
     return Radial((np.array(size) - 1) / 2, float(np.hypot(*size)) / 2, np.zeros(3))
 
 
-def _moved(radial: Radial, step: Array) -> Radial:
+def _move(radial: Radial, step: Array) -> Radial:
     """Return a distortion with other terms and another middle; step: (5,), of the middle in units of the scale."""
     return replace(radial, terms=radial.terms + step[:3], middle=radial.middle + radial.scale * step[3:])
 

@@ -57,7 +57,7 @@ def find_circles(gray: Array, board: Board) -> BoardDetection:
                 other = OtherGrid.of(lattice, ellipses, board, whole=max(lattice.shape) <= longest)
                 largest = other if largest is None or other.count > largest.count else largest
                 continue
-            seen = _measured(gray, board, ordered, ellipses)
+            seen = _measure(gray, board, ordered, ellipses)
             if seen.found:
                 return seen
             unclear = seen
@@ -78,10 +78,10 @@ def _proposals(gray: Array) -> Iterator[Ellipses]:
                 yield find_ellipses(copy, size // share | 1, bright=bright).enlarged(1 / scale)
 
 
-def _measured(gray: Array, board: Board, lattice: Array, ellipses: Ellipses) -> BoardDetection:
+def _measure(gray: Array, board: Board, lattice: Array, ellipses: Ellipses) -> BoardDetection:
     """Return the dots of a board fitted to the image; those that the lattice lacks are searched for too."""
     height, width = gray.shape
-    start = _completed(board, lattice, ellipses, (width, height))
+    start = _complete(board, lattice, ellipses, (width, height))
     fits = fit_discs(gray, start)
     good = _good(fits)
     if good.sum() < MIN_SHARE * board.count:
@@ -93,7 +93,7 @@ def _measured(gray: Array, board: Board, lattice: Array, ellipses: Ellipses) -> 
     return BoardDetection(ids=np.flatnonzero(good), pixels=pixels, covariance=fits.covariance[good])
 
 
-def _completed(board: Board, lattice: Array, ellipses: Ellipses, size: tuple[int, int]) -> Ellipses:
+def _complete(board: Board, lattice: Array, ellipses: Ellipses, size: tuple[int, int]) -> Ellipses:
     """Return the ellipses (count,) of all dots of a board in the order of their ids, of some as the others tell."""
     index = lattice[tuple(nodes(board).T)]
     present = index >= 0
@@ -126,15 +126,15 @@ def as_drawn(lattice: Array, board: Board) -> Array:
     The lattice of nearest neighbours of an asymmetric board stands at 45° to it.
     """
     if board.type != ASYMMETRIC_CIRCLES:
-        return _trimmed(lattice, 1)
+        return _trim(lattice, 1)
     row, column = np.nonzero(lattice >= 0)
     x, y = column - row, column + row
     turned = np.full((np.ptp(y) + 1, np.ptp(x) + 1), -1)
     turned[y - y.min(), x - x.min()] = lattice[row, column]
-    return _trimmed(turned, 2)
+    return _trim(turned, 2)
 
 
-def _trimmed(lattice: Array, every: int) -> Array:
+def _trim(lattice: Array, every: int) -> Array:
     """Return the lattice without outer rows and columns of which too little was found."""
     while lattice.size:
         present = lattice >= 0
@@ -158,7 +158,7 @@ def numbered(lattice: Array, ellipses: Ellipses, board: Board) -> Array | None:
     Of the turns that look the same, the one whose rows run most to the right.
     """
     turns = [np.rot90(lattice, turn) for turn in range(4)]
-    fitting = [turn for turn in turns if turn.shape == size_of(board) and _staggered(turn, board)]
+    fitting = [turn for turn in turns if turn.shape == size_of(board) and _fits_board(turn, board)]
 
     def rightness(turn: Array) -> float:
         """Return the cosine of the angle from the image's x axis to the rows of a lattice."""
@@ -185,7 +185,7 @@ def board_of(lattice: Array, like: Board) -> Board | None:
         if min(rows, columns) < 2 or max(rows, columns) > LARGEST:
             return None
         board = like.of_size(columns, rows)
-        if turned.shape == size_of(board) and _staggered(turned, board):
+        if turned.shape == size_of(board) and _fits_board(turned, board):
             return board
     return None
 
@@ -196,7 +196,7 @@ def nodes(board: Board) -> Array:
     return layout(board.columns, board.rows)[:, ::-1].astype(np.intp)
 
 
-def _staggered(lattice: Array, board: Board) -> bool:
+def _fits_board(lattice: Array, board: Board) -> bool:
     """Return whether the nodes with an ellipse are those of the board."""
     wanted = np.zeros(lattice.shape, dtype=bool)
     wanted[tuple(nodes(board).T)] = True

@@ -40,15 +40,7 @@ class RimSamples:
 
     def take(self, rows: Array) -> "RimSamples":
         """Return the samples of some of the windows."""
-        return RimSamples(
-            self.x[rows],
-            self.y[rows],
-            values=self.values[rows],
-            used=self.used[rows],
-            reach=self.reach[rows],
-            whole=self.whole[rows],
-            others=self.others[rows],
-        )
+        return RimSamples(*(part[rows] for part in vars(self).values()))
 
 
 def sample(gray: Array, start: Ellipses, band: float, room: Array, most: float = np.inf) -> RimSamples:
@@ -294,7 +286,7 @@ def _refine(gray: Array, last: _Round, start: Ellipses, near: Array, distance: A
 
     near, distance: (N, M) the nearest other ellipses of every one, and how far their centres are in its own axes.
     """
-    good = _accepted(last.ellipses, start)
+    good = _accept(last.ellipses, start)
     middle = Ellipses(
         np.where(good[:, None], last.ellipses.centres, start.centres),
         np.where(good[:, None, None], last.ellipses.axes, start.axes),
@@ -302,13 +294,13 @@ def _refine(gray: Array, last: _Round, start: Ellipses, near: Array, distance: A
     touching, spacing = _touching(last, distance), distance.min(axis=1)
     room = np.maximum(_LEAST_ROOM, np.where(touching.any(axis=1), spacing - 1, spacing / 2))
     samples = sample(gray, middle, max(_LEAST_BAND, _BAND * last.blur), room)
-    samples = _among_others(samples, middle, near, touching, last.blur)
+    samples = _add_others(samples, middle, near, touching, last.blur)
     begin = start_of(samples, middle.axes)
     begin[good, BLUR : GRADIENT.start] = last.parameters[good, BLUR : GRADIENT.start]
     return _Round(samples, middle, *minimise(samples, begin, _TONE, _SETTLED))
 
 
-def _accepted(ellipses: Ellipses, start: Ellipses) -> Array:
+def _accept(ellipses: Ellipses, start: Ellipses) -> Array:
     """Return which fits (N,) are of the ellipses they started from."""
     short = np.linalg.eigvalsh(start.axes)[:, 0]
     moved = np.linalg.norm(ellipses.centres - start.centres, axis=1)
@@ -322,7 +314,7 @@ def _touching(fit: _Round, distance: Array) -> Array:
     return np.asarray((distance - 2) * short < _TOUCHING * fit.blur)
 
 
-def _among_others(samples: RimSamples, ellipses: Ellipses, near: Array, touching: Array, blur: float) -> RimSamples:
+def _add_others(samples: RimSamples, ellipses: Ellipses, near: Array, touching: Array, blur: float) -> RimSamples:
     """Return the samples with what the pictures of other ellipses put into the windows of those they touch."""
     others = samples.others.copy()
     for which, touched in zip(near.T, touching.T, strict=True):
@@ -340,7 +332,7 @@ def _result(fit: _Round, start: Ellipses) -> DiscFits:
     count = samples.used.sum(axis=1)
     variance = fit.cost / np.maximum(count - COUNT, 1)
     covariance = np.linalg.pinv(fit.normal)[:, :2, :2] * np.maximum(variance, ROUNDING)[:, None, None]
-    good = _accepted(fit.ellipses, start) & (samples.whole > _WHOLE) & (count > 2 * COUNT)
+    good = _accept(fit.ellipses, start) & (samples.whole > _WHOLE) & (count > 2 * COUNT)
     mean = samples.values.sum(axis=1) / np.maximum(count, 1)
     variation = (samples.used * (samples.values - mean[:, None]) ** 2).sum(axis=1)
     rounding = ROUNDING * np.maximum(count, 1)

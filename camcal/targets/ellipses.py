@@ -129,7 +129,7 @@ def lattices(ellipses: Ellipses, longest: int) -> Iterator[Array]:
     used = np.zeros(len(ellipses.centres), dtype=bool)
     for patch, spacing in _patches(ellipses):
         if not used[patch[patch != _NONE]].any():
-            lattice = _grown(ellipses, patch, spacing, longest)
+            lattice = _grow(ellipses, patch, spacing, longest)
             used[lattice[lattice != _NONE]] = True
             yield lattice
 
@@ -175,7 +175,7 @@ def _patches(ellipses: Ellipses) -> Iterator[tuple[Array, float]]:
             yield patch, float(spacing[row])
 
 
-def _grown(ellipses: Ellipses, lattice: Array, spacing: float, longest: int) -> Array:
+def _grow(ellipses: Ellipses, lattice: Array, spacing: float, longest: int) -> Array:
     """Return a lattice grown from a patch until nothing fits any more or a side is too long."""
     tree = KDTree(ellipses.centres)
     inverse = np.linalg.inv(ellipses.axes)

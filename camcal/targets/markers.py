@@ -61,10 +61,10 @@ def detect_markers(gray: Array, family: str, *, keep_repeated: bool = False) -> 
     drawn_family = family_named(family)
     read = _read(gray, drawn_family) if min(gray.shape) > _LEAST_SIDE_PX else []
     read.sort(key=lambda each: (each[0], *each[1].mean(axis=0)[::-1]))
-    repeated = {} if keep_repeated else _repeated(gray, read, drawn_family)
+    repeated = {} if keep_repeated else _count_repeated(gray, read, drawn_family)
     single = [each for each in read if each[0] not in repeated]
     seen = [
-        (marker, fit) for marker, start in single if (fit := _located(gray, start, drawn_family, marker)) is not None
+        (marker, fit) for marker, start in single if (fit := _locate(gray, start, drawn_family, marker)) is not None
     ]
     counts = Counter(marker for marker, _ in seen)
     once = [(marker, fit) for marker, fit in seen if keep_repeated or counts[marker] == 1]
@@ -98,7 +98,7 @@ def _read(gray: Array, family: Family) -> list[tuple[int, Array]]:
     return list(zip(map(int, np.asarray(ids).ravel()), places, strict=True))
 
 
-def _repeated(gray: Array, found: list[tuple[int, Array]], family: Family) -> dict[int, int]:
+def _count_repeated(gray: Array, found: list[tuple[int, Array]], family: Family) -> dict[int, int]:
     """Return how often ids are seen, of those that more than one place shows well enough to need no fit."""
     often = {marker for marker, count in Counter(marker for marker, _ in found).items() if count > 1}
     shown = Counter(
@@ -115,7 +115,7 @@ def _outward(start: Array) -> Array:
     return np.asarray(start + _CONTOUR_PX * np.sqrt(2) * away / np.linalg.norm(away, axis=1)[:, None])
 
 
-def _located(gray: Array, start: Array, family: Family, marker: int) -> MarkerFit | None:
+def _locate(gray: Array, start: Array, family: Family, marker: int) -> MarkerFit | None:
     """Return where a marker is, None for what was taken for one; where the fit fails, OpenCV's corners."""
     drawing = family.drawing(marker)
     outward = _outward(start)

@@ -312,7 +312,7 @@ def png(page: Page, dpi: float) -> bytes:
         (b"IHDR", header),
         (b"pHYs", metre),
         (b"tEXt", title),
-        (b"IDAT", _packed(page, size, scale)),
+        (b"IDAT", _pack(page, size, scale)),
         (b"IEND", b""),
     )
     return b"\x89PNG\r\n\x1a\n" + b"".join(
@@ -320,7 +320,7 @@ def png(page: Page, dpi: float) -> bytes:
     )
 
 
-def _packed(page: Page, size: tuple[int, int], scale: float) -> bytes:
+def _pack(page: Page, size: tuple[int, int], scale: float) -> bytes:
     """Return the compressed rows, each as its difference from the one above (PNG's filter 2)."""
     packer = zlib.compressobj()
     above = np.zeros(size[0], np.uint8)
@@ -337,13 +337,13 @@ def _bands(page: Page, size: tuple[int, int], scale: float) -> Iterator[Array]:
     sides = _sides(page, scale)
     for top in range(0, size[1], _BAND):
         shape = min(_BAND, size[1] - top), size[0]
-        gray = np.rint(255 * (1 - np.clip(_covered(sides, top, shape), 0, 1))).astype(np.uint8)
+        gray = np.rint(255 * (1 - np.clip(_cover(sides, top, shape), 0, 1))).astype(np.uint8)
         for text in page.texts:
             _write(gray, text, top, scale)
         yield gray
 
 
-def _covered(sides: tuple[Array, ...], top: int, shape: tuple[int, int]) -> Array:
+def _cover(sides: tuple[Array, ...], top: int, shape: tuple[int, int]) -> Array:
     """Return the share of ink (rows, columns) of the pixels from row `top` on; sides: see `_sides`."""
     (x, upper, lower, sign), (rows, columns) = sides, shape
     first = np.clip(np.floor(upper).astype(int) - top, 0, rows)

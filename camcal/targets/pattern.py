@@ -217,7 +217,7 @@ def ink_reach(board: Board) -> float:
 
 
 def _chessboard(board: Board) -> Pattern:
-    drawn = _bordered(board, _checker(board), np.array([0.0]))
+    drawn = _add_border(board, _checker(board), np.array([0.0]))
     if not board.dots:
         return drawn
     row, column = np.transpose(dotted_squares(board.columns, board.rows))
@@ -236,7 +236,7 @@ def _charuco(board: Board) -> Pattern:
         ink[top : top + cells, left : left + cells] = marker
     share = (board.marker or 0.0) / board.spacing
     steps = np.concatenate([[0.0], (1 - share) / 2 + share * np.linspace(0, 1, cells + 1)])
-    return _bordered(board, ink, steps)
+    return _add_border(board, ink, steps)
 
 
 def _checker(board: Board) -> Array:
@@ -254,7 +254,7 @@ def _markers(board: Board, count: int) -> Array:
     return family.printed(markers, TAG_BORDER if board.type == APRILGRID else 1)
 
 
-def _bordered(board: Board, ink: Array, steps: Array) -> Pattern:
+def _add_border(board: Board, ink: Array, steps: Array) -> Pattern:
     """Return the pattern of ink (rows, columns) whose lines repeat in every square at `steps`, shares of its side."""
     lines = []
     for count in (board.columns, board.rows):  # of corners: the second square begins at 0

@@ -238,7 +238,7 @@ def page_of(ink: Ink, footer: Footer, sheet: Sheet) -> tuple[Page, Paper]:
     for paper in SERIES if sheet.paper is None else (sheet.paper,):
         for way in sorted(ways(paper, sheet.landscape), key=lambda way: way.landscape != wide):
             if _fits(ink, footer, way, sheet.margin):
-                return _composed(ink, footer, way, sheet.margin), way
+                return _compose(ink, footer, way, sheet.margin), way
     raise InvalidInput(_too_large(ink, footer, sheet))
 
 
@@ -281,7 +281,7 @@ def _spare(ink: Ink, room: tuple[float, float]) -> tuple[float, float]:
     return round(room[0] - needed[0], 6), round(room[1] - needed[1], 6)
 
 
-def _composed(ink: Ink, footer: Footer, paper: Paper, margin: float) -> Page:
+def _compose(ink: Ink, footer: Footer, paper: Paper, margin: float) -> Page:
     """Return the page: the board in its middle, or just above the footer, which begins where the board does."""
     room = _room(footer, paper, margin)
     beside, above = _spare(ink, room)

@@ -325,7 +325,7 @@ def tag_groups(corners: Array, spacing: float) -> list[TagGroup]:
     count, label = connected_components(linked, directed=False)
     links = np.diff(linked.indptr)
     roots = [int(np.argmax(np.where(label == group, links, -1))) for group in range(count)]
-    return [_walked(corners, linked, steps, turns, root) for root in roots]
+    return [_walk(corners, linked, steps, turns, root) for root in roots]
 
 
 def most_legible(gray: Array, codes: Array, groups: list[TagGroup]) -> list[TagGroup]:
@@ -377,7 +377,7 @@ def _neighbours(corners: Array, spacing: float) -> tuple[Array, Array]:
     return np.where((linked & linked.T)[..., None], np.nan_to_num(steps), 0.0).astype(np.intp), turns
 
 
-def _walked(corners: Array, linked: csr_array, steps: Array, turns: Array, root: int) -> TagGroup:
+def _walk(corners: Array, linked: csr_array, steps: Array, turns: Array, root: int) -> TagGroup:
     """Return the group around a tag, each cell taken by the tag that is reached first."""
     if not steps[root].any():
         return TagGroup(np.zeros((1, 2), np.intp), corners[[root]])

@@ -96,7 +96,7 @@ def read_markers(gray: Array, checker: Checker, board: Board) -> MarkerReadings:
 
 def board_placement(reading: MarkerReadings, board: Board, legacies: Sequence[bool]) -> BoardPlacement | None:
     """Return where a pattern sits on a ChArUco board by its markers, None where they are too few or at odds."""
-    placements = [one for one in (_elected(reading, board, legacy) for legacy in legacies) if one]
+    placements = [one for one in (_elect(reading, board, legacy) for legacy in legacies) if one]
     most = max((one.votes for one in placements), default=0)
     best = [one for one in placements if one.votes == most]
     return best[0] if len(best) == 1 else None  # markers of a single row fit both patterns
@@ -173,7 +173,7 @@ def nearest(seen: Array, bits: Array) -> tuple[Array, Array, Array]:
     return marker, turn, differ[np.arange(len(best)), best]
 
 
-def _elected(reading: MarkerReadings, board: Board, legacy: bool) -> BoardPlacement | None:
+def _elect(reading: MarkerReadings, board: Board, legacy: bool) -> BoardPlacement | None:
     """Return the place that most markers put the pattern in, None if they are at odds."""
     row, column = np.indices((board.rows + 1, board.columns + 1))  # of squares, outer ones counted
     first = 1 if legacy and (board.rows + 1) % 2 == 0 else 0
@@ -259,14 +259,14 @@ def _find(gray: Array, board: Board) -> tuple[BoardDetection, list[Checker]]:
             _Part(checker, reading, board_placement(reading, board, legacies))
             for checker, reading in zip(checkers, readings, strict=True)
         ]
-        grid = _joined(parts, board)
+        grid = _join(parts, board)
         bare += [part.checker for part in parts if not part.markers]
         if grid is None:
             closest = max(parts, key=lambda part: (part.markers, part.corners), default=None)
             if closest is None or best.found:
                 continue
             if closest.markers > max(most, LEAST_VOTES - 1):
-                best, most = _unplaced(closest), closest.markers
+                best, most = _explain_misfit(closest), closest.markers
             elif not most and closest.corners > len(best.refused):
                 best = BoardDetection.nothing(str(best.reason), refused=closest.checker.grid)
             continue
@@ -297,7 +297,7 @@ class _Part:
         return max(len(self.reading.marker), self.reading.mirrored)
 
 
-def _joined(parts: list[_Part], board: Board) -> Array | None:
+def _join(parts: list[_Part], board: Board) -> Array | None:
     """Return the corners (rows, columns, 2) of all parts of a board that belong together, those of most markers first.
 
     None if no part says where it is.
@@ -322,7 +322,7 @@ def _inside(corners: Array, checker: Checker) -> bool:
     return bool((~np.isnan(corners[..., 0])).sum() >= INSIDE * checker.found.sum())
 
 
-def _unplaced(part: _Part) -> BoardDetection:
+def _explain_misfit(part: _Part) -> BoardDetection:
     """Return why a pattern with markers is not the board."""
     count, mirrored = len(part.reading.marker), part.reading.mirrored
     reason = (

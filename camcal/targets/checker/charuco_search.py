@@ -120,7 +120,7 @@ def _clearest(gray: Array, like: Board) -> CharucoLayout | None:
     for copy in proposals(gray):
         parts = [layouts for start in copy if (layouts := _layouts(gray, start, like.first_marker))]
         best = max(parts, key=lambda layouts: layouts[0].votes, default=())
-        verified = [pair for layout in best if (pair := _verified(gray, layout, like))]
+        verified = [pair for layout in best if (pair := _verify(gray, layout, like))]
         if verified:
             return max(verified, key=lambda pair: (pair[0], is_like(pair[1], like)))[1]
     return None
@@ -187,13 +187,13 @@ def _readings(
                     ends = np.sort((np.array([(0, 0), checker.found.shape]) - 0.5) @ rotation.T, axis=0)
                     height, width = np.rint(ends[1] - ends[0] + 1).astype(int).tolist()
                     place = np.rint((square[clear][same] - 0.5) @ rotation.T - ends[0]).astype(np.intp)
-                    layouts += _agreed(place, marker[same], (height, width), name, ratio, first)
+                    layouts += _agree(place, marker[same], (height, width), name, ratio, first)
             most = max((layout.votes for layout in layouts), default=0)
             if most >= least:
                 yield [layout for layout in dict.fromkeys(layouts) if layout.votes == most]
 
 
-def _agreed(
+def _agree(
     place: Array, marker: Array, size: tuple[int, int], name: str, ratio: float, first: int
 ) -> Iterator[CharucoLayout]:
     """Yield the layouts that markers (M,) agree on, each in the row and column place (M, 2) of a part of a board.
@@ -227,7 +227,7 @@ def _agreed(
                 )
 
 
-def _verified(gray: Array, layout: CharucoLayout, like: Board) -> tuple[int, CharucoLayout] | None:
+def _verify(gray: Array, layout: CharucoLayout, like: Board) -> tuple[int, CharucoLayout] | None:
     """Return the number of corners seen, and the layout with as many rows as they tell of; None if there are none.
 
     The board is searched for with more rows than its markers tell of, since something may hide what lies between. The

@@ -90,7 +90,7 @@ def verified_corners(gray: Array, start: Array, clearance: float = CLEARANCE) ->
     gray: (H, W) uint8. clearance: how far from an edge, in steps, an image shows nothing but squares. The corners are
     good to some tenths of a pixel.
     """
-    nodes = _measured_nodes(gray, start, ~np.isnan(start[..., 0]), clearance)
+    nodes = _measure_nodes(gray, start, ~np.isnan(start[..., 0]), clearance)
     crossing = nodes.crossing(START)
     if not crossing.any():
         return Checker(np.full_like(start, np.nan), 1, 0.0)
@@ -132,9 +132,9 @@ def extended(gray: Array, checker: Checker) -> Checker:
         wide = grids.padded(checker.grid)
         beyond = np.pad(np.zeros_like(checker.found), 1, constant_values=True)
         places = np.where(beyond[..., None], grids.predict(wide), wide)
-        if not any(_sides(_hinted(gray, places, beyond, checker))):
+        if not any(_sides(_find_hints(gray, places, beyond, checker))):
             break
-        nodes = _measured_nodes(gray, places, beyond & ~np.isnan(places[..., 0]), CLEARANCE, far=True)
+        nodes = _measure_nodes(gray, places, beyond & ~np.isnan(places[..., 0]), CLEARANCE, far=True)
         likeness = np.abs(checker.sign * nodes.contrast / checker.contrast - 1)
         same = nodes.crossing(REPAIR) & (nodes.agreement > SAME_AGREEMENT) & (likeness < SAME_CONTRAST)
         top, bottom, left, right = _sides(same)
@@ -146,7 +146,7 @@ def extended(gray: Array, checker: Checker) -> Checker:
     return checker
 
 
-def _hinted(gray: Array, places: Array, where: Array, checker: Checker) -> Array:
+def _find_hints(gray: Array, places: Array, where: Array, checker: Checker) -> Array:
     """Return where (rows, columns), by contrast, there may be one more corner just at its place beyond a pattern."""
     where = where & ~np.isnan(places[..., 0])
     row, column = np.nonzero(where)
@@ -177,7 +177,7 @@ def with_hidden_corners(gray: Array, checker: Checker, clearance: float) -> Chec
 def _fill(gray: Array, checker: Checker, predicted: Array, clearance: float) -> Checker:
     """Return the checker with missing corners that are seen near where they are predicted (rows, columns, 2)."""
     places = np.where(checker.found[..., None], checker.grid, predicted)
-    nodes = _measured_nodes(gray, places, ~checker.found & ~np.isnan(places[..., 0]), clearance, far=True)
+    nodes = _measure_nodes(gray, places, ~checker.found & ~np.isnan(places[..., 0]), clearance, far=True)
     seen = nodes.crossing(REPAIR) & (checker.sign * nodes.contrast > CONTRAST * checker.contrast)
     return Checker(np.where(seen[..., None], nodes.grid, checker.grid), checker.sign, checker.contrast)
 
@@ -196,7 +196,7 @@ def clear_corners(gray: Array, checker: Checker, clearance: float = CLEARANCE) -
     return grid
 
 
-def _measured_nodes(gray: Array, grid: Array, where: Array, clearance: float, *, far: bool = False) -> NodeMeasurements:
+def _measure_nodes(gray: Array, grid: Array, where: Array, clearance: float, *, far: bool = False) -> NodeMeasurements:
     """Return what is seen near the nodes `where` (rows, columns) of a grid; far: the corners may be steps/2 away."""
     shape = grid.shape[:2]
     result = NodeMeasurements(grid.copy(), np.full(shape, np.nan), np.full(shape, np.nan), np.full(shape, np.nan))
@@ -263,7 +263,7 @@ def measure_saddles(
     from the nearer edge, in steps, samples may lie. far: the corner may be half a step away.
     """
     for limit in (*FAR, *NEAR) if far else NEAR:
-        pixels = _refined(gray, pixels, steps, clearance, limit)
+        pixels = _refine(gray, pixels, steps, clearance, limit)
     return measure_saddles_at(gray, pixels, steps, clearance)
 
 
@@ -281,7 +281,7 @@ def measure_saddles_at(gray: Array, pixels: Array, steps: Array, clearance: floa
     return SaddleMeasurements(pixels, -score * stencil.peak[best], agreement)
 
 
-def _refined(gray: Array, pixels: Array, steps: Array, clearance: float, limit: tuple[float, float]) -> Array:
+def _refine(gray: Array, pixels: Array, steps: Array, clearance: float, limit: tuple[float, float]) -> Array:
     """Return the corners nearer to where they are, by a few rounds with one reach."""
     stencil, frames = _stencil_for(steps, clearance, limit)
     for _ in range(ROUNDS):

@@ -45,7 +45,7 @@ def find_chessboard(gray: Array, board: Board, *, partial: bool = False) -> Boar
         if min(checker.grid.shape[:2]) < 2 or checker.area < SMALLER * area:
             continue
         checker = extended(gray, checker)
-        seen = _judged(gray, checker, board, partial=partial)
+        seen = _judge(gray, checker, board, partial=partial)
         large = checker.found.sum() > ENOUGH * board.count
         if len(seen.ids) >= MIN_SHARE * board.count or (large and _leaves(gray, checker.grid)):
             return seen
@@ -55,7 +55,7 @@ def find_chessboard(gray: Array, board: Board, *, partial: bool = False) -> Boar
     return best
 
 
-def _judged(gray: Array, checker: Checker, board: Board, *, partial: bool) -> BoardDetection:
+def _judge(gray: Array, checker: Checker, board: Board, *, partial: bool) -> BoardDetection:
     """Return the corners of a pattern if it is the board, or a part of it where that is enough, else what it is."""
     whole = sorted(checker.grid.shape[:2]) == sorted((board.rows, board.columns))
     if not whole and (not partial or min(checker.grid.shape[:2]) < LEAST_PART):

@@ -148,7 +148,7 @@ def patterns(saddles: Saddles) -> list[Array]:
     for seed in np.argsort(-(links >= 0).sum(axis=1), kind="stable"):
         if taken[seed] or (links[seed] < 0).all():
             continue
-        places = _counted_off(links, int(seed), taken)
+        places = _count_off(links, int(seed), taken)
         taken[list(places)] = True
         if len(places) >= LEAST:
             row, column = (np.array(list(places.values())) - np.min(list(places.values()), axis=0)).T
@@ -232,7 +232,7 @@ def _is_cell(pixels: Array, *path: Array) -> Array:
     return np.asarray(skew < SKEW * np.minimum(sides[0] + sides[2], sides[1] + sides[3]) / 2)
 
 
-def _counted_off(links: Array, seed: int, taken: Array) -> dict[int, tuple[int, int]]:
+def _count_off(links: Array, seed: int, taken: Array) -> dict[int, tuple[int, int]]:
     """Return the places (row, column) of the corners that links lead to and that are not taken (N,).
 
     The seed's first edge leads along its row.

@@ -107,7 +107,9 @@ def _outcomes(
     jobs, batch = options.jobs, options.batch
     alone = len(outputs) == 1
     work = partial(_develop_file, options=options, corrections=corrections, alone=alone)
-    made: Items[_Item, DevelopedFrame] = Items(_fingerprint(options, corrections), _inputs, _written, DevelopedFrame)
+    made: Items[_Item, DevelopedFrame] = Items(
+        _fingerprint(options, corrections), _inputs_of, _outputs_of, DevelopedFrame
+    )
     items = list(outputs.items())
     for outcome in resumable(
         work, items, made, jobs=jobs, batch=batch, what="demosaic", progress=progress, alone=alone
@@ -125,12 +127,12 @@ def _fingerprint(options: DemosaicOptions, corrections: Corrections) -> str:
     )
 
 
-def _inputs(item: _Item) -> list[Path | str]:
+def _inputs_of(item: _Item) -> list[Path | str]:
     """Return a frame and its name, which the settings file holds."""
     return [item[0], item[0].as_posix()]
 
 
-def _written(item: _Item) -> list[Path]:
+def _outputs_of(item: _Item) -> list[Path]:
     return [item[1], _settings_beside(item[1])]
 
 
