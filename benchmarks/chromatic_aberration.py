@@ -22,7 +22,7 @@ from pathlib import Path
 import numpy as np
 
 from camcal.cameras.model import Camera
-from camcal.images.save import save
+from camcal.images.files import save
 from camcal.raw.demosaic import demosaic
 from camcal.raw.options import ImageReadOptions
 from camcal.raw.reading import read_mosaic

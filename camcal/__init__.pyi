@@ -88,7 +88,7 @@ from camcal.stereo.rectify.record import Rectification as Rectification
 from camcal.targets.board import Board as Board
 from camcal.targets.detection import BoardDetection as BoardDetection
 from camcal.targets.detection import Detections as Detections
-from camcal.targets.markers.markers import detect_markers as detect_markers
+from camcal.targets.markers import detect_markers as detect_markers
 from camcal.tasks.calibration.calibrate import CalibrateReport as CalibrateReport
 from camcal.tasks.calibration.options import CalibrateOptions as CalibrateOptions
 from camcal.tasks.calibration.options import DetectOptions as DetectOptions

@@ -20,8 +20,7 @@ from camcal.arrays import Array
 from camcal.calibrate.problem import POSE, BoardProblem, Derivatives, State
 from camcal.cameras.reprojection import by_pose
 from camcal.solve.steps import Factors, NormalEquations, Step, factorise, lowest_along
-from camcal.targets.board import Board
-from camcal.targets.surface import CLASSES, basis, normalised
+from camcal.targets.board import CLASSES, Board, basis, normalised
 
 SMOOTH_DEGREE = 3
 # how fast the spectrum of a field with the correlation exp(-d / 4 squares) falls, by degree: seen on boards of 6 x 4 to

@@ -36,9 +36,8 @@ from camcal.cameras.model import Camera, CameraModel
 from camcal.cameras.observations import Observations
 from camcal.errors import InsufficientData, InvalidInput, NotConverged
 from camcal.solve.steps import SingularError
-from camcal.targets.board import Board
+from camcal.targets.board import Board, Surface
 from camcal.targets.detection import BoardDetection
-from camcal.targets.surface import Surface
 
 __all__ = ["Calibration", "CandidateModel", "Options", "RejectedCorner", "View", "calibrate", "compare_models"]
 

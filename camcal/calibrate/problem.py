@@ -18,8 +18,7 @@ from camcal.geometry.pose import retract
 from camcal.solve.least_squares import assemble
 from camcal.solve.losses import Loss
 from camcal.solve.steps import Block, Jacobian, NormalEquations, Step
-from camcal.targets.board import Board
-from camcal.targets.surface import basis
+from camcal.targets.board import Board, basis
 
 POSE = 6  # parameters of a view: tx ty tz rx ry rz
 _FITS = 3.0  # times the noise: the distance within which a point fits

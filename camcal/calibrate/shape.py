@@ -21,7 +21,7 @@ from camcal.arrays import Array
 from camcal.calibrate.problem import BoardProblem, Derivatives, State
 from camcal.solve import least_squares
 from camcal.solve.steps import Block, Factors, Step
-from camcal.targets.surface import (
+from camcal.targets.board import (
     CLASSES,
     CORNER_CLASSES,
     IN_PLANE,

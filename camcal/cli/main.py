@@ -20,7 +20,7 @@ from typer.core import CompletionItem, TyperGroup  # type: ignore[attr-defined] 
 from camcal import __version__
 from camcal.cli import examples, show
 from camcal.errors import EXIT_BUG, EXIT_INTERRUPTED, EXIT_SIGNAL, FileError, InvalidInput, translated
-from camcal.images import limits
+from camcal.images.options import set_default_max_pixels
 from camcal.parsing import in_one_line, nearest
 from camcal.run.process import BLAS_THREADS, Stopped, require_address_space, stop_on_signals
 
@@ -292,7 +292,7 @@ def prepare() -> None:
     for name in BLAS_THREADS:
         os.environ.setdefault(name, "1")
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # typer's; it would read about every package there is
-    limits.set_default()
+    set_default_max_pixels()
     if not sys.warnoptions:  # whoever asks for Python's warnings has them
         warnings.simplefilter("ignore")
         os.environ.setdefault("PYTHONWARNINGS", "ignore")

@@ -12,8 +12,7 @@ from camcal.tasks.raw.options import DemosaicOptions, SensorOptions
 
 if TYPE_CHECKING:
     from camcal.progress import Outcome
-    from camcal.tasks.raw.demosaic import DevelopedFrame, PatternPreviews
-    from camcal.tasks.raw.raw_corrections import BadPixelMap
+    from camcal.tasks.raw.demosaic import BadPixelMap, DevelopedFrame, PatternPreviews
     from camcal.tasks.raw.sensor import SensorReport
 
 
@@ -60,7 +59,7 @@ def _develop(options: DemosaicOptions, call: ImageCall) -> None:
 
 
 def _make_map(options: DemosaicOptions, call: ImageCall) -> None:
-    from camcal.tasks.raw.raw_corrections import make_bad_pixel_map, map_document
+    from camcal.tasks.raw.demosaic import make_bad_pixel_map, map_document
 
     found = make_bad_pixel_map(options, call.progress)
     call.give(lambda: map_document(found), lambda: _show_map(found))

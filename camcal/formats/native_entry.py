@@ -52,7 +52,7 @@ from camcal.formats.schema import (
 )
 from camcal.parsing import did_you_mean, nearest
 from camcal.quality.projection_uncertainty import KnownRegion
-from camcal.targets.surface import CLASSES, CORNER_CLASSES, OFFSETS, TERMS, TIERS, Surface
+from camcal.targets.board import CLASSES, CORNER_CLASSES, OFFSETS, TERMS, TIERS, Surface
 
 FIGURES = ("rms_px", "mean_px", "median_px", "p95_px", "max_px", "chi2_per_degree")
 COUNTS = ("images_used", "images_total", "points_used", "points_total", "points_rejected")

@@ -22,7 +22,7 @@ from uuid import uuid4
 from camcal import files, system, urls
 from camcal.errors import CamcalError, FileError, InvalidInput, ItemsFailed, reason
 from camcal.folders import TEMPORARY
-from camcal.images import limits
+from camcal.images.options import max_pixels
 from camcal.messages import Message
 from camcal.progress import Item, Outcome, Progress, Value
 from camcal.run import fingerprint
@@ -151,7 +151,7 @@ def _terms(batch: BatchOptions) -> Iterator[RunTerms]:
             folder=str(Path.cwd()),
             shared=shared,
             versions=fingerprint.versions(),
-            max_pixels=limits.max_pixels(),
+            max_pixels=max_pixels(),
             remote=remote,
             timeout=batch.timeout,
             failure=failure,

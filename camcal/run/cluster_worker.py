@@ -21,7 +21,7 @@ from typing import Any
 
 from camcal import files, folders, urls
 from camcal.errors import CamcalError, FileError, InvalidInput, ItemsFailed
-from camcal.images import limits
+from camcal.images.options import max_pixels, set_max_pixels
 from camcal.progress import Item, Outcome, Value
 from camcal.run import fingerprint
 from camcal.run.fanout import one_opencv_thread
@@ -105,12 +105,12 @@ def _terms_kept(terms: RunTerms) -> Iterator[None]:
         stack.enter_context(_set(folders.KNOWN, {}))  # a part of the run, on a machine with its own numbers of folders
         stack.enter_context(_set(urls.REMOTE, terms.remote))
         stack.enter_context(one_opencv_thread())
-        before = limits.max_pixels()
-        limits.set_max_pixels(terms.max_pixels)
+        before = max_pixels()
+        set_max_pixels(terms.max_pixels)
         try:
             yield
         finally:
-            limits.set_max_pixels(before)
+            set_max_pixels(before)
 
 
 @contextmanager

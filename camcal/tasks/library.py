@@ -20,7 +20,7 @@ from camcal.errors import InvalidInput
 from camcal.formats import cameras, native
 from camcal.formats.boards import load_board
 from camcal.formats.camera_file import CameraEntry, CameraFile, ValidRegion
-from camcal.images.load import load
+from camcal.images.files import load
 from camcal.images.options import ViewOptions
 from camcal.images.remap import build_maps
 from camcal.images.views import make_view

@@ -17,8 +17,7 @@ from camcal.calibrate.intrinsics import Options, calibrate
 from camcal.calibrate.problem import BoardProblem, State
 from camcal.cameras.observations import Observations
 from camcal.geometry import rotation as so3
-from camcal.targets.board import Board
-from camcal.targets.surface import normalised
+from camcal.targets.board import Board, normalised
 
 
 def plain(scene, views):

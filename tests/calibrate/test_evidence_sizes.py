@@ -15,8 +15,7 @@ from camcal.calibrate.noise import ViewNoise
 from camcal.calibrate.problem import BoardProblem, State
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.observations import Observations
-from camcal.targets.board import Board
-from camcal.targets.surface import basis
+from camcal.targets.board import Board, basis
 
 BOARD = Board("chessboard", 6, 5, 0.040)
 NAMES = tuple(effect.name for effect in EFFECTS)

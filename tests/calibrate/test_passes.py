@@ -14,8 +14,7 @@ from camcal.calibrate.noise import corner_weights, view_noise
 from camcal.calibrate.problem import BoardProblem
 from camcal.calibrate.shape import Scale, first_scales
 from camcal.cameras.observations import Observations
-from camcal.targets.board import Board
-from camcal.targets.surface import TERMS
+from camcal.targets.board import TERMS, Board
 
 VIEWS = 6
 BARE = AdditionalParameters(smooth=False, points=False)

@@ -11,7 +11,7 @@ from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.formats import native
 from camcal.formats.camera_file import CameraEntry, CameraFile
-from camcal.images.save import save
+from camcal.images.files import save
 
 LENS = Camera(model_named("opencv5"), (24, 16), np.array([20.0, 20, 12, 8, -0.1, 0, 0, 0, 0]))
 PIPELINE = """\

@@ -12,7 +12,7 @@ from camcal.cameras.model import Camera
 from camcal.errors import FileError
 from camcal.formats import native
 from camcal.formats.camera_file import CameraEntry, CameraFile
-from camcal.images.save import save
+from camcal.images.files import save
 from camcal.progress import SILENT
 from camcal.run import manifest
 from camcal.run.fanout import fan_out

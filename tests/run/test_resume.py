@@ -8,7 +8,7 @@ import pytest
 
 from camcal import files
 from camcal.errors import InvalidInput
-from camcal.images.save import save
+from camcal.images.files import save
 from camcal.run import manifest
 from camcal.run.manifest import MANIFEST
 from camcal.run.options import BatchOptions

@@ -10,8 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
-from camcal.images.load import load
-from camcal.images.save import save
+from camcal.images.files import load, save
 
 TEMPORARY = ".camcal.part-*"
 

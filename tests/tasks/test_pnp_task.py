@@ -16,13 +16,12 @@ from camcal.formats import detections, native
 from camcal.formats.camera_file import CalibrationNoise, CameraEntry, CameraFile
 from camcal.formats.poses.record import PixelNoise, PoseKey
 from camcal.geometry.pose import Pose
-from camcal.images.save import save
+from camcal.images.files import save
 from camcal.progress import Silent
 from camcal.report import pose_words
 from camcal.simulate.scene import observe
-from camcal.targets.board import parse_board
+from camcal.targets.board import Surface, parse_board
 from camcal.targets.detection import BoardDetection, Detections
-from camcal.targets.surface import Surface
 from camcal.tasks.poses.pnp import Gates, PnpOptions, PriorOptions, pnp
 from camcal.tasks.poses.pnp_observer import Observer
 from camcal.tasks.poses.pnp_views import DetectionOptions, Observation

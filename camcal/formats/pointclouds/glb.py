@@ -17,7 +17,7 @@ from camcal.arrays import Array
 from camcal.errors import FileError, InvalidInput
 from camcal.formats.pointclouds.record import MILLIMETRES, PointCloudFile, blocks_of, cloud_of
 from camcal.geometry.axes import rotation_of
-from camcal.raw.colour import encode
+from camcal.raw.develop import encode
 from camcal.stereo.points.frames import COLOUR, INTENSITY, METRES, NORMAL, POSITION, SIGMA, VertexStream
 
 MAGIC, VERSION = b"glTF", 2

@@ -8,8 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import FigureBase
 
 from camcal.arrays import Array
-from camcal.raw.emva import line_deviation
-from camcal.raw.sensor import Characterisation
+from camcal.raw.emva import Characterisation, line_deviation
 from camcal.report.figures.figure import WIDTH, Plot, Theme, beside, logarithmic_labels
 
 _SERIES = {"R": 1, "Gr": 2, "Gb": 3, "B": 0, "mono": 0}  # colours of a theme

@@ -27,9 +27,8 @@ from camcal.report.uncertain import (
     value_and_std,
     value_with_std,
 )
-from camcal.targets.board import Board
+from camcal.targets.board import RATIOS, Board, Surface
 from camcal.targets.detection import BoardDetection
-from camcal.targets.surface import RATIOS, Surface
 
 _NOT_IN_IDS = re.compile(r"[^A-Za-z0-9]+")
 _STRONG = 0.9  # correlations that are listed

@@ -13,8 +13,8 @@ from camcal.arrays import Array, IntArray
 from camcal.errors import InvalidInput
 from camcal.formats.tables import require_cell
 from camcal.progress import Outcome, Progress
-from camcal.raw.detection_image import read_detection_image
 from camcal.raw.options import ImageReadOptions
+from camcal.raw.reading import read_detection_image
 from camcal.run.fanout import fan_out
 from camcal.run.journal import Found, journaled
 from camcal.run.options import BatchOptions

@@ -28,7 +28,7 @@ from camcal.progress import SILENT, Progress, warn_of
 from camcal.quality.assess import Assessment
 from camcal.quality.lens_choice import judge, rank_models
 from camcal.quality.projection_uncertainty import ProjectionUncertainty, too_uncertain
-from camcal.raw.detection_image import COLOURS
+from camcal.raw.reading import COLOURS
 from camcal.report.calibration import as_data, candidates_data, headline, uncertainty_data
 from camcal.report.uncertain import projection_words, region_words
 from camcal.run.journal import journal_beside

@@ -23,7 +23,7 @@ from camcal.formats.camera_file import (
 )
 from camcal.quality.assess import Assessment
 from camcal.report.calibration import view_record
-from camcal.targets.surface import Surface
+from camcal.targets.board import Surface
 
 
 @dataclass(frozen=True, eq=False)

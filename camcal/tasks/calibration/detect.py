@@ -9,11 +9,11 @@ from typing import Any
 from camcal.arrays import Array
 from camcal.errors import CamcalError, FileError, InvalidInput
 from camcal.formats import boards, detections, native_entry
-from camcal.images.save import KINDS, save
+from camcal.images.files import KINDS, save
 from camcal.messages import Message
 from camcal.progress import SILENT, Progress, values_of, warn_of
-from camcal.raw.detection_image import is_raw, read_detection_image
 from camcal.raw.options import AS_IMAGES, ImageReadOptions
+from camcal.raw.reading import is_raw, read_detection_image
 from camcal.report.overlays import corner_overlay
 from camcal.run import fingerprint
 from camcal.run.fanout import fan_out

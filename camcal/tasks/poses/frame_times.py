@@ -11,7 +11,7 @@ from camcal.arrays import Array
 from camcal.errors import FileError, InvalidInput
 from camcal.formats import tables
 from camcal.images import exif, video
-from camcal.images.load import load
+from camcal.images.files import load
 from camcal.messages import Message
 from camcal.parsing import parse_number
 from camcal.progress import Progress

@@ -12,12 +12,12 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.errors import CamcalError, FileError
 from camcal.estimate.poses.records import Correspondences
+from camcal.images.files import gray_8bit
 from camcal.images.image import Image
-from camcal.images.load import gray_8bit
 from camcal.images.video import frame_name, frames
 from camcal.messages import Message
 from camcal.progress import SILENT, Outcome, Progress, warn_of
-from camcal.raw.detection_image import read_detection_image
+from camcal.raw.reading import read_detection_image
 from camcal.run import fingerprint
 from camcal.run.fanout import fan_out
 from camcal.run.journal import Found, journaled
@@ -27,8 +27,7 @@ from camcal.targets.board import CHARUCO, Board
 from camcal.targets.checker.charuco import arrangements
 from camcal.targets.detect import detect, require_findable
 from camcal.targets.detection import BoardDetection, Detections
-from camcal.targets.markers.markers import Markers, detect_markers
-from camcal.targets.markers.tags import TagObjects
+from camcal.targets.markers import Markers, TagObjects, detect_markers
 from camcal.tasks.calibration.board_views import BoardViews
 from camcal.tasks.calibration.which_board import board_warnings, pattern_lines, symmetry_warnings
 

@@ -23,7 +23,7 @@ from camcal.progress import SILENT, Progress, warn_of
 from camcal.report import track_words
 from camcal.run.outputs import writes
 from camcal.run.paths import Media, find_media, refuse_collisions, require_there
-from camcal.targets.markers.tags import single_name
+from camcal.targets.markers import single_name
 from camcal.tasks.figure_files import figure_data, write_figures
 from camcal.tasks.given_camera import require_no_image
 from camcal.tasks.poses.frame_times import frame_times, require_times

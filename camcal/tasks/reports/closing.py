@@ -14,8 +14,8 @@ from camcal.arrays import Array
 from camcal.errors import CamcalError
 from camcal.formats import native, provenance
 from camcal.formats.camera_file import CameraFile
-from camcal.raw.detection_image import read_detection_image
 from camcal.raw.options import ImageReadOptions
+from camcal.raw.reading import read_detection_image
 from camcal.report.page.record import Section, Table
 from camcal.report.page.thumbnails import MOST, photo_key, photograph
 from camcal.run.process import processor_name

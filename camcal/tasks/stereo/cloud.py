@@ -13,7 +13,7 @@ from camcal.errors import InvalidInput
 from camcal.formats import disparity, disparity_sidecar, pointclouds, pose_text
 from camcal.formats.disparity import DisparityMap
 from camcal.formats.disparity_sidecar import Sidecar
-from camcal.images.load import load
+from camcal.images.files import load
 from camcal.messages import Message
 from camcal.parsing import parse_number
 from camcal.progress import SILENT, Collected, Progress, values_of, warn_of

@@ -17,8 +17,7 @@ from camcal.errors import GateFailed, InsufficientData, InvalidInput, ItemsFaile
 from camcal.formats import native
 from camcal.formats.native import untrustworthy
 from camcal.images import video
-from camcal.images.load import load
-from camcal.images.save import save
+from camcal.images.files import load, save
 from camcal.messages import Message
 from camcal.options import command_line
 from camcal.progress import SILENT, Collected, Outcome, Progress, reused, warn_of

@@ -20,8 +20,8 @@ from camcal.formats import disparity, pointclouds
 from camcal.formats.disparity import DisparityMap
 from camcal.formats.disparity_sidecar import Sidecar
 from camcal.geometry.axes import rotation_of
+from camcal.images.files import save
 from camcal.images.npy import names_in
-from camcal.images.save import save
 from camcal.progress import SILENT, Progress
 from camcal.report import cloud_view
 from camcal.report.cloud_scene import CloudScene, gather

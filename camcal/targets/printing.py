@@ -15,21 +15,22 @@ from camcal.arrays import Array, readonly
 from camcal.errors import InvalidInput
 from camcal.targets.board import Board
 from camcal.targets.board_types import FORMS
-from camcal.targets.pattern import BLACK, Pattern, ink_reach, pattern_of
-from camcal.targets.printing.page import (
+from camcal.targets.page import (
     MAX_SIDE_MM,
     MM_PER_INCH,
     SERIES,
     Page,
     Paper,
     Text,
+    dots_per_mm,
     pdf,
+    png,
     rectangle,
     svg,
     text_width,
     ways,
 )
-from camcal.targets.printing.png import dots_per_mm, png
+from camcal.targets.pattern import BLACK, ink_reach, pattern_of
 
 # Right, down, left, up: (column, row) of a step, in the order of turns to the right
 _STEPS = ((1, 0), (0, 1), (-1, 0), (0, -1))
@@ -43,7 +44,8 @@ def outlines(x: Array, y: Array, black: Array) -> tuple[Array, ...]:
 
     x (M,), y (N,): the lines between cells, ascending. black: (N - 1, M - 1) of bool.
     """
-    lattice = [np.array(corners) for corners in _loops(set(_edges(black)))]
+    edges = set(_edges(black))  # of which every walk uses up some
+    lattice = [np.array(_walk(first, edges)) for first in sorted(edges) if first in edges]
     return tuple(np.column_stack([x[corners[:, 0]], y[corners[:, 1]]]) for corners in lattice)
 
 
@@ -58,14 +60,8 @@ def _edges(black: Array) -> Iterator[Edge]:
             yield place[1] + column, place[0] + row, step
 
 
-def _loops(edges: set[Edge]) -> Iterator[list[tuple[int, int]]]:
-    """Yield the corners of every closed path along edges, and use them up; the order is that of the places."""
-    for first in sorted(edges):
-        if first in edges:
-            yield _walk(first, edges)
-
-
 def _walk(first: Edge, edges: set[Edge]) -> list[tuple[int, int]]:
+    """Return the corners of the closed path that begins along an edge, whose edges are taken out of the set."""
     corners: list[tuple[int, int]] = []
     edge = first
     while True:
@@ -123,13 +119,9 @@ def ink_of(board: Board) -> Ink:
         y, black = height - y[::-1], black[::-1]
     discs = (pattern.discs + np.array([reach, reach, 0, 0])) * [MM, MM, MM, 1]
     spacing = board.spacing * MM
-    return Ink((width, height), outlines(x, y, black), discs, spacing, _QUIET * spacing, _finest(pattern) * MM)
-
-
-def _finest(pattern: Pattern) -> float:
-    """Return the smallest of the rectangles' sides, those of the white border apart, and of the discs' diameters."""
-    sides = np.diff(pattern.x)[1:-1], np.diff(pattern.y)[1:-1]
-    return float(np.concatenate([*sides, 2 * pattern.discs[:, 2]]).min())
+    sides = np.diff(pattern.x)[1:-1], np.diff(pattern.y)[1:-1]  # those of the white border apart
+    finest = float(np.concatenate([*sides, 2 * pattern.discs[:, 2]]).min()) * MM
+    return Ink((width, height), outlines(x, y, black), discs, spacing, _QUIET * spacing, finest)
 
 
 KINDS = (".pdf", ".svg", ".png")
@@ -246,7 +238,7 @@ def page_of(ink: Ink, footer: Footer, sheet: Sheet) -> tuple[Page, Paper]:
     for paper in SERIES if sheet.paper is None else (sheet.paper,):
         for way in sorted(ways(paper, sheet.landscape), key=lambda way: way.landscape != wide):
             if _fits(ink, footer, way, sheet.margin):
-                return _composed(ink, footer, way, sheet.margin), way
+                return _compose(ink, footer, way, sheet.margin), way
     raise InvalidInput(_too_large(ink, footer, sheet))
 
 
@@ -289,7 +281,7 @@ def _spare(ink: Ink, room: tuple[float, float]) -> tuple[float, float]:
     return round(room[0] - needed[0], 6), round(room[1] - needed[1], 6)
 
 
-def _composed(ink: Ink, footer: Footer, paper: Paper, margin: float) -> Page:
+def _compose(ink: Ink, footer: Footer, paper: Paper, margin: float) -> Page:
     """Return the page: the board in its middle, or just above the footer, which begins where the board does."""
     room = _room(footer, paper, margin)
     beside, above = _spare(ink, room)

@@ -1,4 +1,4 @@
-"""Candidate ellipses in an image, and lattices of them.
+"""Candidate ellipses in an image, lattices of them, and the picture of a blurred disc near the rim of one.
 
 An ellipse is the outline of a region darker or brighter than around it. It says how its disc is seen: where it becomes
 a unit circle, its four neighbours lie at equal distances and at right angles, whatever the perspective. From such a
@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from scipy.spatial import KDTree
+from scipy.special import ndtr
 
 from camcal.arrays import Array
 from camcal.targets.checker import grid as grids
@@ -94,16 +95,12 @@ def _moments(points: Array, first: Array, lengths: Array) -> tuple[Array, Array,
     areas = np.add.reduceat(cross, first) / 2
     scale = np.where(areas == 0, np.inf, areas)[:, None]
     centroids = np.add.reduceat((here + after) * cross[:, None], first) / (6 * scale)
-    both = here + after
-    products = np.stack([_product(here, after, both, i, j) for i, j in ((0, 0), (0, 1), (1, 1))], axis=1)
+    ends = here, after, here + after
+    products = np.stack([sum(end[:, i] * end[:, j] for end in ends) for i, j in ((0, 0), (0, 1), (1, 1))], axis=1)
     xx, xy, yy = (np.add.reduceat(products * cross[:, None], first) / (24 * scale)).T
     seconds = np.stack([xx, xy, xy, yy], axis=1).reshape(-1, 2, 2)
     seconds -= centroids[:, :, None] * centroids[:, None, :]
     return areas, centroids + origin, 4 * seconds
-
-
-def _product(here: Array, after: Array, both: Array, i: int, j: int) -> Array:
-    return np.asarray(here[:, i] * here[:, j] + after[:, i] * after[:, j] + both[:, i] * both[:, j])
 
 
 def square_roots(matrices: Array) -> Array:
@@ -132,7 +129,7 @@ def lattices(ellipses: Ellipses, longest: int) -> Iterator[Array]:
     used = np.zeros(len(ellipses.centres), dtype=bool)
     for patch, spacing in _patches(ellipses):
         if not used[patch[patch != _NONE]].any():
-            lattice = _grown(ellipses, patch, spacing, longest)
+            lattice = _grow(ellipses, patch, spacing, longest)
             used[lattice[lattice != _NONE]] = True
             yield lattice
 
@@ -166,23 +163,19 @@ def _patches(ellipses: Ellipses) -> Iterator[tuple[Array, float]]:
     off[np.broadcast_to(~fits[:, None], off.shape)] = np.inf
     best = off.argmin(axis=2)
     missed = off.min(axis=2) / np.where(np.isfinite(spacing), spacing, 1.0)[:, None]
-    found = missed < _SEED
-    found[~np.isfinite(spacing)] = False
-    cost = np.where(found, missed, 1.0).sum(axis=1)
-    kept = found[:, :2].all(axis=1)
+    close = missed < _SEED
+    close[~np.isfinite(spacing)] = False
+    cost = np.where(close, missed, 1.0).sum(axis=1)
+    kept = close[:, :2].all(axis=1)
     for row in np.argsort(cost, kind="stable")[: 8 * _SEEDS]:
         if kept[row]:
-            yield _patch(row, np.where(found[row], near[row, best[row]], _NONE)), float(spacing[row])
+            patch = np.full((3, 3), _NONE)
+            patch[1, 1] = row
+            patch[1, 2], patch[2, 1], patch[1, 0], patch[0, 1] = np.where(close[row], near[row, best[row]], _NONE)
+            yield patch, float(spacing[row])
 
 
-def _patch(middle: int, around: Array) -> Array:
-    patch = np.full((3, 3), _NONE)
-    patch[1, 1] = middle
-    patch[1, 2], patch[2, 1], patch[1, 0], patch[0, 1] = around
-    return patch
-
-
-def _grown(ellipses: Ellipses, lattice: Array, spacing: float, longest: int) -> Array:
+def _grow(ellipses: Ellipses, lattice: Array, spacing: float, longest: int) -> Array:
     """Return a lattice grown from a patch until nothing fits any more or a side is too long."""
     tree = KDTree(ellipses.centres)
     inverse = np.linalg.inv(ellipses.axes)
@@ -191,8 +184,8 @@ def _grown(ellipses: Ellipses, lattice: Array, spacing: float, longest: int) -> 
         free = np.argwhere(wide == _NONE)
         grid = places(ellipses, wide)
         predicted = grids.predict(grid)[tuple(free.T)]
-        known = ~np.isnan(predicted[:, 0])
-        free, predicted = free[known], predicted[known]
+        predictable = ~np.isnan(predicted[:, 0])
+        free, predicted = free[predictable], predicted[predictable]
         index = np.asarray(tree.query(predicted)[1])
         off = np.linalg.norm(np.einsum("nij,nj->ni", inverse[index], ellipses.centres[index] - predicted), axis=1)
         fits = (off < _STRAY * spacing) & _like(ellipses, wide, free, index) & ~np.isin(index, wide)
@@ -202,7 +195,8 @@ def _grown(ellipses: Ellipses, lattice: Array, spacing: float, longest: int) -> 
         if not len(order):
             return lattice
         wide[tuple(free[order].T)] = index[order]
-        lattice = _cropped(wide)
+        rows, columns = (np.flatnonzero((wide != _NONE).any(axis=axis)) for axis in (1, 0))
+        lattice = wide[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
     return lattice
 
 
@@ -217,7 +211,89 @@ def _like(ellipses: Ellipses, wide: Array, nodes: Array, index: Array) -> Array:
     return np.asarray(present.any(axis=0) & (np.abs(np.log(ellipses.areas[index]) - mean) < np.log(_SIMILAR)))
 
 
-def _cropped(lattice: Array) -> Array:
-    """Return the lattice without empty rows and columns around it."""
-    rows, columns = (np.flatnonzero((lattice != _NONE).any(axis=axis)) for axis in (1, 0))
-    return lattice[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+_DENSITY = np.float32(1 / np.sqrt(2 * np.pi))
+_TINY = np.float32(1e-6)  # so that the centre itself has a direction
+_STEPS = 3  # good to 1e-5 of the long axis where the short one is half as long, to 5e-5 at a seventh
+_NEAR, _FAR = np.float32(2 / 3), np.float32(1 / 3)  # weights of ε = 0 and of ε² = 3
+_FIRST, _THIRD = np.float32(3 / 2), np.float32(9 / 8)  # the terms of b for ε² = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Rim:
+    """Where samples (N, K) lie to the rims of N ellipses, pixels.
+
+    distance: positive outside. curvature: 1 / px, of the rim nearby. outward: (N, 2, K) unit normals. unit: (N, 2, K)
+    the points of the unit circle that the axes take to the rim nearby.
+    """
+
+    distance: Array
+    curvature: Array
+    outward: Array
+    unit: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """The picture (N, K), 1 inside and 0 outside, and its derivatives by the distance and by the blur, per pixel."""
+
+    value: Array
+    by_distance: Array
+    by_blur: Array
+
+
+def rim(x: Array, y: Array, axes: Array) -> Rim:
+    """Return where samples lie, x, y (N, K) from the ellipses' centres; axes (N, 2, 2) symmetric."""
+    lengths, frames = (part.astype(x.dtype) for part in np.linalg.eigh(axes))
+    long, short = lengths[:, [1]], lengths[:, [0]]
+    (long_x, long_y), (short_x, short_y) = (frames[:, :, k].T[..., None] for k in (1, 0))
+    along, across = x * long_x + y * long_y, x * short_x + y * short_y
+    cosine, sine = _nearest(np.abs(along), np.abs(across), long, short)
+    cosine, sine = np.copysign(cosine, along), np.copysign(sine, across)
+    steepness = _length(cosine / long, sine / short)
+    normal_along, normal_across = cosine / (long * steepness), sine / (short * steepness)
+    distance = (along - long * cosine) * normal_along + (across - short * sine) * normal_across
+    return Rim(
+        distance,
+        1 / ((long * short) ** 2 * (steepness * steepness * steepness)),
+        np.stack([normal_along * long_x + normal_across * short_x, normal_along * long_y + normal_across * short_y], 1),
+        np.stack([cosine * long_x + sine * short_x, cosine * long_y + sine * short_y], axis=1),
+    )
+
+
+def _nearest(along: Array, across: Array, long: Array, short: Array) -> tuple[Array, Array]:
+    """Return cosine and sine (N, K) of the points of ellipses nearest to samples in their first quadrant.
+
+    By steps on the circle that osculates the ellipse at the last point, from the middle of its quadrant.
+    """
+    cosine = sine = np.full_like(along, np.sqrt(0.5))
+    middle_along, middle_across = (long**2 - short**2) / long, (short**2 - long**2) / short
+    for _ in range(_STEPS):
+        cube_along, cube_across = middle_along * (cosine * cosine * cosine), middle_across * (sine * sine * sine)
+        radius = _length(long * cosine - cube_along, short * sine - cube_across)
+        off_along, off_across = along - cube_along, across - cube_across
+        scale = radius / (_length(off_along, off_across) + _TINY)
+        cosine = np.maximum(off_along * scale + cube_along, 0) / long + _TINY
+        sine = np.maximum(off_across * scale + cube_across, 0) / short
+        length = _length(cosine, sine)
+        cosine, sine = cosine / length, sine / length
+    return cosine, sine
+
+
+def _length(x: Array, y: Array) -> Array:
+    return np.asarray(np.sqrt(x * x + y * y))
+
+
+def picture(distance: Array, curvature: Array, blur: Array) -> Picture:
+    """Return the picture at distances (N, K) from rims of curvature (N, K) under blurs (N, 1)."""
+    scaled, bend = distance / blur, curvature * blur
+    square = bend * bend
+    beyond = scaled + bend * (_FIRST + _THIRD * square)
+    density, density_beyond = (
+        _DENSITY * weight * np.exp(-0.5 * z * z) for weight, z in ((_NEAR, scaled), (_FAR, beyond))
+    )
+    both = density + density_beyond
+    return Picture(
+        _NEAR * ndtr(-scaled) + _FAR * ndtr(-beyond),
+        -both / blur,
+        (scaled * both - density_beyond * bend * (_FIRST + 3 * _THIRD * square)) / blur,
+    )

@@ -1,6 +1,7 @@
-"""The image model of a circle with eleven parameters, fitted to all circles of an image at once.
+"""Circles fitted to an image: blurred ellipses around their rims, eleven parameters each, all of them at once.
 
-Around a rim the image is modelled as
+First roughly to some samples, then to all that the rims' blur reaches. Where dots stand so close that the blur of one
+reaches the next, what the others put into a window is counted in. Around a rim the image is modelled as
     (1 + g · (x, y)) · (level + contrast · (f + tone · f (1 - f))),
 with the ellipse's centre and axes, its blur, the gradient g of the light, and a tone for what gamma does to what is
 blurred already. f is the picture of a disc under a blur, seen as an ellipse. With d the signed distance to the rim,
@@ -11,15 +12,14 @@ it. The mean is taken at ε = 0 and ± √3 (the Gauss-Hermite rule of three poi
 sides of the centre, so that what it leaves out, the rim's change of curvature, does not move that.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import ndtr
 
 from camcal.arrays import Array
 from camcal.solve.descent import Stopping
 from camcal.solve.independent import Models, Trial, minimise_each
-from camcal.targets.circles.blobs import Ellipses
+from camcal.targets.ellipses import Ellipses, neighbours, picture, rim
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,15 +40,7 @@ class RimSamples:
 
     def take(self, rows: Array) -> "RimSamples":
         """Return the samples of some of the windows."""
-        return RimSamples(
-            self.x[rows],
-            self.y[rows],
-            values=self.values[rows],
-            used=self.used[rows],
-            reach=self.reach[rows],
-            whole=self.whole[rows],
-            others=self.others[rows],
-        )
+        return RimSamples(*(part[rows] for part in vars(self).values()))
 
 
 def sample(gray: Array, start: Ellipses, band: float, room: Array, most: float = np.inf) -> RimSamples:
@@ -129,11 +121,6 @@ def axes_of(parameters: Array) -> Array:
     return np.asarray(parameters[:, [2, 3, 3, 4]].reshape(-1, 2, 2))
 
 
-def blur_of(parameters: Array) -> Array:
-    """Return the blur (N,) in parameters (N, 11), the pixel's own square included, px."""
-    return np.asarray(np.sqrt(PIXEL_VARIANCE + np.exp(2 * parameters[:, BLUR])))
-
-
 def minimise(samples: RimSamples, parameters: Array, tone_spread: float, settled: float) -> tuple[Array, Array, Array]:
     """Return parameters (N, 11), sums of squares (N,) and normal matrices (N, 11, 11).
 
@@ -147,9 +134,9 @@ def minimise(samples: RimSamples, parameters: Array, tone_spread: float, settled
     def enough(tried: Trial) -> Array:
         return np.asarray(2 * tried.promised <= settled)
 
-    found = minimise_each(discs, parameters, np.arange(len(parameters)), _STOPPING, enough=enough)
-    squares = discs.squares(found.states, found.cost)
-    return found.states, squares, found.models.normal * discs.variance(squares)[:, None, None]
+    minima = minimise_each(discs, parameters, np.arange(len(parameters)), _STOPPING, enough=enough)
+    squares = discs.squares(minima.states, minima.cost)
+    return minima.states, squares, minima.models.normal * discs.variance(squares)[:, None, None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,8 +185,8 @@ def _evaluate(parameters: Array, samples: RimSamples) -> tuple[Array, Array]:
     used, axes = samples.used, axes_of(parameters)
     parameters = parameters.astype(np.float32)
     near = rim(samples.x - parameters[:, [0]], samples.y - parameters[:, [1]], axes)
-    own = np.exp(2 * parameters[:, [BLUR]])
-    blur = np.sqrt(np.float32(PIXEL_VARIANCE) + own)
+    variance = np.exp(2 * parameters[:, [BLUR]])
+    blur = np.sqrt(np.float32(PIXEL_VARIANCE) + variance)
     seen = picture(near.distance, near.curvature, blur)
     value = seen.value + samples.others
     level, contrast, tone = (parameters[:, [k]] for k in (LEVEL, CONTRAST, TONE))
@@ -215,7 +202,7 @@ def _evaluate(parameters: Array, samples: RimSamples) -> tuple[Array, Array]:
     jacobian[:, 2] = along[:, 0] * near.unit[:, 0]
     jacobian[:, 3] = along[:, 0] * near.unit[:, 1] + along[:, 1] * near.unit[:, 0]
     jacobian[:, 4] = along[:, 1] * near.unit[:, 1]
-    jacobian[:, BLUR] = gain * seen.by_blur * own / blur
+    jacobian[:, BLUR] = gain * seen.by_blur * variance / blur
     jacobian[:, LEVEL] = light
     jacobian[:, CONTRAST] = light * shown
     jacobian[:, TONE] = light * contrast * bow
@@ -223,94 +210,139 @@ def _evaluate(parameters: Array, samples: RimSamples) -> tuple[Array, Array]:
     return samples.values * used - even * light, jacobian
 
 
-_DENSITY = np.float32(1 / np.sqrt(2 * np.pi))
-_TINY = np.float32(1e-6)  # so that the centre itself has a direction
-_STEPS = 3  # good to 1e-5 of the long axis where the short one is half as long, to 5e-5 at a seventh
-_NEAR, _FAR = np.float32(2 / 3), np.float32(1 / 3)  # weights of ε = 0 and of ε² = 3
-_FIRST, _THIRD = np.float32(3 / 2), np.float32(9 / 8)  # the terms of b for ε² = 3
+_COARSE_BAND = 5.0  # px, where the blur is not known and a start may be half a pixel off
+_COARSE_SAMPLES = 150  # of a dot
+_BAND = 3.2  # standard deviations of the blur
+_LEAST_BAND = 2.2  # px
+_NO_TONE = 1e-3  # at first: a radius that is off by half a pixel resembles a tone
+_TONE = 0.5  # dots of few pixels do not tell it from the blur
+_ROUGHLY, _SETTLED = 1.0, 1e-2  # squares of the standard deviations by which a last step moves
+_WHOLE = 0.8  # of a window that must lie within the image
+_FURTHEST = 0.5  # short axes from the start; a fit that goes further has found something else
+_GROWTH = 2.5  # of an ellipse's area from the start, or its inverse
+_NEIGHBOURS = 8
+_TOUCHING = 6.0  # standard deviations of the blur between two rims that must be fitted together
+_LEAST_ROOM = 1.2  # in an ellipse's axes
 
 
 @dataclass(frozen=True, eq=False)
-class Rim:
-    """Where samples (N, K) lie to the rims of N ellipses, pixels.
+class DiscFits:
+    """What was fitted at N dots.
 
-    distance: positive outside. curvature: 1 / px, of the rim nearby. outward: (N, 2, K) unit normals. unit: (N, 2, K)
-    the points of the unit circle that the axes take to the rim nearby.
+    ellipses: their centres and axes. covariance: (N, 2, 2) px² of the centres. blur: (N,) px, the pixel's own square
+    not counted. level, contrast: (N,) gray levels, of the ground and of the dot less the ground. agreement: (N,) share
+    of the window's variance that the model explains, 1 is perfect; 0 where the fit failed. noise: (N,) gray levels.
     """
 
-    distance: Array
-    curvature: Array
-    outward: Array
-    unit: Array
+    ellipses: Ellipses
+    covariance: Array
+    blur: Array
+    level: Array
+    contrast: Array
+    agreement: Array
+    noise: Array
 
 
 @dataclass(frozen=True, eq=False)
-class Picture:
-    """The picture (N, K), 1 inside and 0 outside, and its derivatives by the distance and by the blur, per pixel."""
+class _Round:
+    """A fit to samples around `middle`: parameters (N, 11), costs (N,), normal matrices (N, 11, 11)."""
 
-    value: Array
-    by_distance: Array
-    by_blur: Array
+    samples: RimSamples
+    middle: Ellipses
+    parameters: Array
+    cost: Array
+    normal: Array
 
+    @property
+    def ellipses(self) -> Ellipses:
+        """Return what was fitted."""
+        return Ellipses(self.middle.centres + self.parameters[:, CENTRE], axes_of(self.parameters))
 
-def rim(x: Array, y: Array, axes: Array) -> Rim:
-    """Return where samples lie, x, y (N, K) from the ellipses' centres; axes (N, 2, 2) symmetric."""
-    lengths, frames = (part.astype(x.dtype) for part in np.linalg.eigh(axes))
-    long, short = lengths[:, [1]], lengths[:, [0]]
-    (long_x, long_y), (short_x, short_y) = (frames[:, :, k].T[..., None] for k in (1, 0))
-    along, across = x * long_x + y * long_y, x * short_x + y * short_y
-    cosine, sine = _nearest(np.abs(along), np.abs(across), long, short)
-    cosine, sine = np.copysign(cosine, along), np.copysign(sine, across)
-    steepness = _length(cosine / long, sine / short)
-    normal_along, normal_across = cosine / (long * steepness), sine / (short * steepness)
-    distance = (along - long * cosine) * normal_along + (across - short * sine) * normal_across
-    return Rim(
-        distance,
-        1 / ((long * short) ** 2 * (steepness * steepness * steepness)),
-        np.stack([normal_along * long_x + normal_across * short_x, normal_along * long_y + normal_across * short_y], 1),
-        np.stack([cosine * long_x + sine * short_x, cosine * long_y + sine * short_y], axis=1),
-    )
+    @property
+    def blur(self) -> float:
+        """Return the median blur, the pixel's own square included, px."""
+        return float(np.median(np.sqrt(PIXEL_VARIANCE + np.exp(2 * self.parameters[:, BLUR]))))
 
 
-def _nearest(along: Array, across: Array, long: Array, short: Array) -> tuple[Array, Array]:
-    """Return cosine and sine (N, K) of the points of ellipses nearest to samples in their first quadrant.
+def fit_discs(gray: Array, start: Ellipses) -> DiscFits:
+    """Return the dots fitted from starts good to half a pixel or so.
 
-    By steps on the circle that osculates the ellipse at the last point, from the middle of its quadrant.
+    gray: (H, W). start: all the dots there are, for some may stand close to others.
     """
-    cosine = sine = np.full_like(along, np.sqrt(0.5))
-    middle_along, middle_across = (long**2 - short**2) / long, (short**2 - long**2) / short
-    for _ in range(_STEPS):
-        cube_along, cube_across = middle_along * (cosine * cosine * cosine), middle_across * (sine * sine * sine)
-        radius = _length(long * cosine - cube_along, short * sine - cube_across)
-        off_along, off_across = along - cube_along, across - cube_across
-        scale = radius / (_length(off_along, off_across) + _TINY)
-        cosine = np.maximum(off_along * scale + cube_along, 0) / long
-        sine = np.maximum(off_across * scale + cube_across, 0) / short
-        cosine, sine = _normalised(cosine, sine)
-    return cosine, sine
+    near = neighbours(start.centres, _NEIGHBOURS)
+    away = (start.centres[near] - start.centres[:, None]) @ np.linalg.inv(start.axes)
+    distance = np.linalg.norm(away, axis=2)
+    room = np.maximum(_LEAST_ROOM, distance.min(axis=1) / 2)
+    coarse = sample(gray, start, _COARSE_BAND, room, _COARSE_SAMPLES)
+    fit = _Round(coarse, start, *minimise(coarse, start_of(coarse, start.axes), _NO_TONE, _ROUGHLY))
+    fit = _refine(gray, fit, start, near, distance)
+    if _touching(fit, distance).any():
+        fit = _refine(gray, fit, start, near, distance)
+    return _result(fit, start)
 
 
-def _normalised(x: Array, y: Array) -> tuple[Array, Array]:
-    x = x + _TINY
-    length = _length(x, y)
-    return x / length, y / length
+def _refine(gray: Array, last: _Round, start: Ellipses, near: Array, distance: Array) -> _Round:
+    """Return the fit to all samples that the blur of the last one asks for; where that failed, from its start.
 
-
-def _length(x: Array, y: Array) -> Array:
-    return np.asarray(np.sqrt(x * x + y * y))
-
-
-def picture(distance: Array, curvature: Array, blur: Array) -> Picture:
-    """Return the picture at distances (N, K) from rims of curvature (N, K) under blurs (N, 1)."""
-    scaled, bend = distance / blur, curvature * blur
-    square = bend * bend
-    beyond = scaled + bend * (_FIRST + _THIRD * square)
-    density, density_beyond = (
-        _DENSITY * weight * np.exp(-0.5 * z * z) for weight, z in ((_NEAR, scaled), (_FAR, beyond))
+    near, distance: (N, M) the nearest other ellipses of every one, and how far their centres are in its own axes.
+    """
+    good = _accept(last.ellipses, start)
+    middle = Ellipses(
+        np.where(good[:, None], last.ellipses.centres, start.centres),
+        np.where(good[:, None, None], last.ellipses.axes, start.axes),
     )
-    both = density + density_beyond
-    return Picture(
-        _NEAR * ndtr(-scaled) + _FAR * ndtr(-beyond),
-        -both / blur,
-        (scaled * both - density_beyond * bend * (_FIRST + 3 * _THIRD * square)) / blur,
+    touching, spacing = _touching(last, distance), distance.min(axis=1)
+    room = np.maximum(_LEAST_ROOM, np.where(touching.any(axis=1), spacing - 1, spacing / 2))
+    samples = sample(gray, middle, max(_LEAST_BAND, _BAND * last.blur), room)
+    samples = _add_others(samples, middle, near, touching, last.blur)
+    begin = start_of(samples, middle.axes)
+    begin[good, BLUR : GRADIENT.start] = last.parameters[good, BLUR : GRADIENT.start]
+    return _Round(samples, middle, *minimise(samples, begin, _TONE, _SETTLED))
+
+
+def _accept(ellipses: Ellipses, start: Ellipses) -> Array:
+    """Return which fits (N,) are of the ellipses they started from."""
+    short = np.linalg.eigvalsh(start.axes)[:, 0]
+    moved = np.linalg.norm(ellipses.centres - start.centres, axis=1)
+    growth = np.abs(np.log(ellipses.areas / start.areas))
+    return np.asarray((moved < np.maximum(_FURTHEST * short, 1.0)) & (growth < np.log(_GROWTH)))
+
+
+def _touching(fit: _Round, distance: Array) -> Array:
+    """Return which dots are reached by the blur of which of those around them at distances (N, M)."""
+    short = np.linalg.eigvalsh(fit.ellipses.axes)[:, :1]
+    return np.asarray((distance - 2) * short < _TOUCHING * fit.blur)
+
+
+def _add_others(samples: RimSamples, ellipses: Ellipses, near: Array, touching: Array, blur: float) -> RimSamples:
+    """Return the samples with what the pictures of other ellipses put into the windows of those they touch."""
+    others = samples.others.copy()
+    for which, touched in zip(near.T, touching.T, strict=True):
+        rows, other = np.flatnonzero(touched), which[touched]
+        if not len(rows):
+            continue
+        x, y = (ellipses.centres[rows] - ellipses.centres[other]).astype(np.float32).T[..., None]
+        away = rim(samples.x[rows] + x, samples.y[rows] + y, ellipses.axes[other])
+        others[rows] += picture(away.distance, away.curvature, np.full((len(rows), 1), blur, np.float32)).value
+    return replace(samples, others=others)
+
+
+def _result(fit: _Round, start: Ellipses) -> DiscFits:
+    samples, parameters = fit.samples, fit.parameters
+    count = samples.used.sum(axis=1)
+    variance = fit.cost / np.maximum(count - COUNT, 1)
+    covariance = np.linalg.pinv(fit.normal)[:, :2, :2] * np.maximum(variance, ROUNDING)[:, None, None]
+    good = _accept(fit.ellipses, start) & (samples.whole > _WHOLE) & (count > 2 * COUNT)
+    mean = samples.values.sum(axis=1) / np.maximum(count, 1)
+    variation = (samples.used * (samples.values - mean[:, None]) ** 2).sum(axis=1)
+    rounding = ROUNDING * np.maximum(count, 1)
+    agreement = np.where(good, 1 - (fit.cost + rounding) / (variation + rounding), 0.0)
+    return DiscFits(
+        fit.ellipses,
+        covariance,
+        blur=np.exp(parameters[:, BLUR]),
+        level=parameters[:, LEVEL],
+        contrast=parameters[:, CONTRAST],
+        agreement=agreement,
+        noise=np.sqrt(variance),
     )

@@ -1,25 +1,30 @@
-"""Reading images: pixels as stored; the EXIF orientation is kept but never applied.
+"""Image files: pixels as stored; the EXIF orientation is kept but never applied, and written once.
 
 The size that the header of an image file states is found without decoding: memory is taken only for what is allowed.
+The type of a file that is written follows from its suffix; it takes the place of another in one step.
 Sources: W3C PNG, section 5 and 11.2; ITU-T T.81, annex B; TIFF 6.0, section 2; Microsoft BITMAPINFOHEADER; Netpbm's pnm
 and pam; Google's WebP container and lossless bitstream; ITU-T T.800, annex A and I.
 """
 
 import re
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 
 import cv2
 import numpy as np
 
+from camcal import files
 from camcal.arrays import Array
 from camcal.errors import FileError, InvalidInput, translated
 from camcal.files import read_bytes
-from camcal.images import exif, limits
-from camcal.images.exif import JPEG, PNG, read_jpeg, read_png_exif
+from camcal.images import exif
+from camcal.images.exif import JPEG, LONGEST_EXIF, PNG, insert_exif, read_jpeg, read_png_exif
 from camcal.images.image import CHANNELS, DTYPES, RAW_SUFFIXES, Image, Scratch, conversion_advice, foreign_suffix
-from camcal.images.npy import read_npy
+from camcal.images.npy import read_npy, write_npy
+from camcal.images.options import JPEG_QUALITY, require_pixels
 from camcal.urls import local
 
 _FLAGS = cv2.IMREAD_UNCHANGED | cv2.IMREAD_IGNORE_ORIENTATION
@@ -63,7 +68,10 @@ def load(path: Path, scratch: Scratch | None = None, content: bytes | None = Non
     if suffix in RAW_SUFFIXES:
         raise InvalidInput("is a camera raw file; make an image of it with 'camcal demosaic' first", where=str(path))
     if suffix == ".npy":
-        return _load_npy(path, content)
+        try:
+            return Image(read_npy(path, content=content))
+        except InvalidInput as error:
+            raise FileError(error.message, where=str(path)) from error
     content = read_bytes(path) if content is None else content
     require_allowed(path, content)
     if content.startswith(JPEG):
@@ -81,9 +89,9 @@ def require_allowed(path: Path, content: bytes) -> None:
     try:
         size = stated_size(content)
     except ValueError as error:
-        raise FileError(f"{_damaged(content)}: {error}", where=str(path)) from error
+        raise FileError(f"{_describe_damage(content)}: {error}", where=str(path)) from error
     if size is not None:
-        limits.require_pixels(size, path)
+        require_pixels(size, path)
 
 
 def gray_8bit(pixels: Array) -> Array:
@@ -108,19 +116,12 @@ def gray_levels(pixels: Array) -> Array:
     if pixels.dtype == np.uint8:
         return np.asarray(pixels)
     sample = pixels.ravel()[:: max(1, pixels.size // _SAMPLES)]
-    known = sample[np.isfinite(sample)]
-    if not known.size:
+    finite = sample[np.isfinite(sample)]
+    if not finite.size:
         return np.zeros(pixels.shape, np.float32)
-    low, high = np.quantile(known.astype(float), [_TAIL, 1 - _TAIL])
+    low, high = np.quantile(finite.astype(float), [_TAIL, 1 - _TAIL])
     with np.errstate(over="ignore", invalid="ignore"):  # infinite pixels, and those far beyond the others
         return np.asarray((pixels.astype(np.float32) - np.float32(low)) * np.float32(255 / max(high - low, 1e-30)))
-
-
-def _load_npy(path: Path, content: bytes | None) -> Image:
-    try:
-        return Image(read_npy(path, content=content))
-    except InvalidInput as error:
-        raise FileError(error.message, where=str(path)) from error
 
 
 def _load_jpeg(path: Path, content: bytes, scratch: Scratch | None) -> Image:
@@ -162,10 +163,10 @@ def _decode(path: Path, content: bytes) -> Array:
 
 def _unreadable(path: Path, content: bytes) -> FileError:
     advice = conversion_advice([foreign_suffix(content)])
-    return FileError(advice or _damaged(content), where=str(path))
+    return FileError(advice or _describe_damage(content), where=str(path))
 
 
-def _damaged(content: bytes) -> str:
+def _describe_damage(content: bytes) -> str:
     kind = next((name for start, name in _STARTS.items() if content.startswith(start)), None)
     if kind is None:
         return f"unknown image format (begins with {content[:8]!r})"
@@ -265,3 +266,88 @@ _READERS: tuple[tuple[bytes | tuple[bytes, ...], Callable[[bytes], Size]], ...] 
     (b"RIFF", _webp),
     ((b"\0\0\0\x0cjP", _J2K), _jpeg_2000),
 )
+
+
+@dataclass(frozen=True)
+class Kind:
+    """What a type of file holds: types of numbers, numbers of channels, and whether it keeps the EXIF orientation."""
+
+    dtypes: tuple[str, ...]
+    channels: tuple[int, ...]
+    oriented: bool = False
+
+
+_JPEG = Kind(("uint8",), (1, 3), oriented=True)
+_PNG = Kind(("uint8", "uint16"), (1, 3, 4), oriented=True)
+_TIFF = Kind(("uint8", "uint16", "float32"), (1, 3, 4), oriented=True)
+_NPY = Kind(("uint8", "uint16", "float32"), (1, 3, 4))
+KINDS: Mapping[str, Kind] = MappingProxyType(
+    {
+        ".jpg": _JPEG,
+        ".jpeg": _JPEG,
+        ".png": _PNG,
+        ".tif": _TIFF,
+        ".tiff": _TIFF,
+        ".npy": _NPY,
+        ".ppm": Kind(("uint8", "uint16"), (3,)),
+        ".pgm": Kind(("uint8", "uint16"), (1,)),
+        ".bmp": Kind(("uint8",), (1, 3)),
+    }
+)
+
+
+def save(path: Path, image: Image | Array, *, quality: int = JPEG_QUALITY) -> None:
+    """Write an image, or its pixels alone, in one step; orientation and EXIF block go with it where the type has them.
+
+    quality: of JPEG, 1 … 100. A TIFF file keeps the orientation, not the rest of EXIF.
+    Raises InvalidInput if the type of file cannot hold the pixels, FileError if it cannot be written.
+    """
+    if not isinstance(image, Image):
+        image = Image(image)
+    if not 1 <= quality <= 100:
+        raise InvalidInput(f"JPEG quality is 1 … 100, found {quality}")
+    require_kind(path, image)
+    if path.suffix.lower() == ".npy":
+        write_npy(path, image.pixels)
+    else:
+        files.write_bytes(path, _with_metadata(_encode(path, image.pixels, quality), image))
+
+
+def require_kind(path: Path, image: Image) -> None:
+    """Raise InvalidInput, with the suffixes that will do, unless the type of file can hold the image."""
+    kind = KINDS.get(path.suffix.lower())
+    wanted = (str(image.pixels.dtype), image.channels)
+    if kind is not None and wanted[0] in kind.dtypes and wanted[1] in kind.channels:
+        return
+    fitting = [suffix for suffix, other in KINDS.items() if wanted[0] in other.dtypes and wanted[1] in other.channels]
+    held = f"{path.suffix or 'no suffix'} cannot hold {wanted[1]} channel{'s' * (wanted[1] > 1)} of {wanted[0]}"
+    raise InvalidInput(f"{held}; use one of {', '.join(fitting)}", where=str(path))
+
+
+def _encode(path: Path, pixels: Array, quality: int) -> bytes:
+    suffix = path.suffix.lower()
+    parameters = {
+        _JPEG: [cv2.IMWRITE_JPEG_QUALITY, quality],
+        _TIFF: [cv2.IMWRITE_TIFF_COMPRESSION, cv2.IMWRITE_TIFF_COMPRESSION_NONE],  # packing takes twenty times as long
+    }.get(KINDS[suffix], [])
+    try:
+        done, content = cv2.imencode(suffix, pixels, parameters)
+    except cv2.error as error:
+        raise FileError("cannot be encoded; the image may be too large for this file type", where=str(path)) from error
+    if not done:
+        raise FileError("cannot be encoded", where=str(path))
+    return np.asarray(content).tobytes()
+
+
+def _with_metadata(content: bytes, image: Image) -> bytes:
+    """Return an encoded image with its EXIF block, and the orientation in it once."""
+    if content[:4] in (b"II*\0", b"MM\0*"):
+        return exif.with_orientation(content, image.orientation) if image.orientation != exif.UPRIGHT else content
+    if not content.startswith((JPEG, PNG)):
+        return content
+    if not image.exif and image.orientation == exif.UPRIGHT:
+        return content
+    block = exif.of_image(image.exif, image.size) if exif.is_readable(image.exif) else b""
+    if content.startswith(JPEG) and len(block) > LONGEST_EXIF:
+        block = b""
+    return insert_exif(content, exif.with_orientation(block, image.orientation))

@@ -1,11 +1,17 @@
 """Detection of a grid of circles: ellipses on a lattice, refined and numbered.
 
 A plain grid looks the same after half a turn, a square one after a quarter, and so does an asymmetric one of an even
-number of rows; the turn whose rows run most to the right is then taken. The pixels are those of the discs' centres,
-not of the ellipses' (disc_fit.py). A grid that is not the board searched for is told as another board or a part of one.
+number of rows; the turn whose rows run most to the right is then taken. A grid that is not the board searched for is
+told as another board or a part of one.
 
 A grid of ellipses has centres (rows, columns, 2) and axes (rows, columns, 2, 2), NaN where there is none. An asymmetric
 board's grid has a column for every half of its spacing, so that every other node is none of its circles.
+
+Perspective moves the centre of the ellipse away from the projected centre of the disc. Where the board is seen as
+x → p + J x / (1 + l · x) around a disc of radius r the offset is -r² J l / (1 - r² l · l): the centre of the dual conic
+H diag(r², r², -1) Hᵀ (Heikkilä 2000, Geometric camera calibration using circular control points). Lens distortion moves
+it too. Both follow from how the grid as a whole is seen: every disc's rim is taken into the image, an
+ellipse is fitted to it as one was to the image, and its distance from the image of the centre is taken off.
 """
 
 from collections.abc import Iterator
@@ -17,12 +23,12 @@ from scipy.spatial import KDTree
 from camcal import opencv
 from camcal.arrays import Array
 from camcal.targets.board import ASYMMETRIC_CIRCLES, CIRCLES, LARGEST, Board
-from camcal.targets.board_map import map_of
+from camcal.targets.board_map import BoardMap, map_of
 from camcal.targets.board_types import grid_points, staggered
 from camcal.targets.checker.proposals import proposals
-from camcal.targets.circles.blobs import Ellipses, find_ellipses, lattices, places
-from camcal.targets.circles.disc_fit import DiscFits, fit_discs, projected_centres
 from camcal.targets.detection import MIN_CORNERS, BoardDetection
+from camcal.targets.disc_fit import DiscFits, fit_discs
+from camcal.targets.ellipses import Ellipses, find_ellipses, lattices, places, rim, square_roots
 
 MIN_PROPOSED = 0.5  # of the board's circles, for the others to be searched for
 LEAST_OTHER = 9  # circles of a grid that is worth a word; fewer may be anything
@@ -51,7 +57,7 @@ def find_circles(gray: Array, board: Board) -> BoardDetection:
                 other = OtherGrid.of(lattice, ellipses, board, whole=max(lattice.shape) <= longest)
                 largest = other if largest is None or other.count > largest.count else largest
                 continue
-            seen = _measured(gray, board, ordered, ellipses)
+            seen = _measure(gray, board, ordered, ellipses)
             if seen.found:
                 return seen
             unclear = seen
@@ -72,10 +78,10 @@ def _proposals(gray: Array) -> Iterator[Ellipses]:
                 yield find_ellipses(copy, size // share | 1, bright=bright).enlarged(1 / scale)
 
 
-def _measured(gray: Array, board: Board, lattice: Array, ellipses: Ellipses) -> BoardDetection:
+def _measure(gray: Array, board: Board, lattice: Array, ellipses: Ellipses) -> BoardDetection:
     """Return the dots of a board fitted to the image; those that the lattice lacks are searched for too."""
     height, width = gray.shape
-    start = _completed(board, lattice, ellipses, (width, height))
+    start = _complete(board, lattice, ellipses, (width, height))
     fits = fit_discs(gray, start)
     good = _good(fits)
     if good.sum() < MIN_SHARE * board.count:
@@ -87,16 +93,16 @@ def _measured(gray: Array, board: Board, lattice: Array, ellipses: Ellipses) -> 
     return BoardDetection(ids=np.flatnonzero(good), pixels=pixels, covariance=fits.covariance[good])
 
 
-def _completed(board: Board, lattice: Array, ellipses: Ellipses, size: tuple[int, int]) -> Ellipses:
+def _complete(board: Board, lattice: Array, ellipses: Ellipses, size: tuple[int, int]) -> Ellipses:
     """Return the ellipses (count,) of all dots of a board in the order of their ids, of some as the others tell."""
     index = lattice[tuple(nodes(board).T)]
-    known = index >= 0
+    present = index >= 0
     points = board.points()[:, :2] / board.spacing
     centres, axes = ellipses.centres[index], ellipses.axes[index]
-    if not known.all():
-        near = KDTree(points[known]).query(points[~known], k=4)[1]
-        axes[~known] = axes[known][near].mean(axis=1)
-        centres[~known] = map_of(points[known], centres[known], size).pixels(points[~known])
+    if not present.all():
+        near = KDTree(points[present]).query(points[~present], k=4)[1]
+        axes[~present] = axes[present][near].mean(axis=1)
+        centres[~present] = map_of(points[present], centres[present], size).pixels(points[~present])
     return Ellipses(centres, axes)
 
 
@@ -120,19 +126,19 @@ def as_drawn(lattice: Array, board: Board) -> Array:
     The lattice of nearest neighbours of an asymmetric board stands at 45° to it.
     """
     if board.type != ASYMMETRIC_CIRCLES:
-        return _trimmed(lattice, 1)
+        return _trim(lattice, 1)
     row, column = np.nonzero(lattice >= 0)
     x, y = column - row, column + row
     turned = np.full((np.ptp(y) + 1, np.ptp(x) + 1), -1)
     turned[y - y.min(), x - x.min()] = lattice[row, column]
-    return _trimmed(turned, 2)
+    return _trim(turned, 2)
 
 
-def _trimmed(lattice: Array, every: int) -> Array:
+def _trim(lattice: Array, every: int) -> Array:
     """Return the lattice without outer rows and columns of which too little was found."""
     while lattice.size:
-        found = lattice >= 0
-        sides = (found[0], found[-1], found[:, 0], found[:, -1])
+        present = lattice >= 0
+        sides = (present[0], present[-1], present[:, 0], present[:, -1])
         top, bottom, left, right = (int(every * side.mean() < _SIDE) for side in sides)
         if not (top or bottom or left or right):
             break
@@ -152,8 +158,16 @@ def numbered(lattice: Array, ellipses: Ellipses, board: Board) -> Array | None:
     Of the turns that look the same, the one whose rows run most to the right.
     """
     turns = [np.rot90(lattice, turn) for turn in range(4)]
-    fitting = [turn for turn in turns if turn.shape == size_of(board) and _staggered(turn, board)]
-    return max(fitting, key=lambda turn: _rightness(turn, ellipses), default=None)
+    fitting = [turn for turn in turns if turn.shape == size_of(board) and _fits_board(turn, board)]
+
+    def rightness(turn: Array) -> float:
+        """Return the cosine of the angle from the image's x axis to the rows of a lattice."""
+        row, column = np.nonzero(turn >= 0)
+        design = np.column_stack([column, row, np.ones(len(row))])
+        along = np.linalg.lstsq(design, ellipses.centres[turn[row, column]], rcond=None)[0][0]
+        return float(along[0] / np.hypot(*along))
+
+    return max(fitting, key=rightness, default=None)
 
 
 def board_of(lattice: Array, like: Board) -> Board | None:
@@ -171,7 +185,7 @@ def board_of(lattice: Array, like: Board) -> Board | None:
         if min(rows, columns) < 2 or max(rows, columns) > LARGEST:
             return None
         board = like.of_size(columns, rows)
-        if turned.shape == size_of(board) and _staggered(turned, board):
+        if turned.shape == size_of(board) and _fits_board(turned, board):
             return board
     return None
 
@@ -182,19 +196,11 @@ def nodes(board: Board) -> Array:
     return layout(board.columns, board.rows)[:, ::-1].astype(np.intp)
 
 
-def _staggered(lattice: Array, board: Board) -> bool:
+def _fits_board(lattice: Array, board: Board) -> bool:
     """Return whether the nodes with an ellipse are those of the board."""
     wanted = np.zeros(lattice.shape, dtype=bool)
     wanted[tuple(nodes(board).T)] = True
     return not ((lattice >= 0) & ~wanted).any()
-
-
-def _rightness(lattice: Array, ellipses: Ellipses) -> float:
-    """Return the cosine of the angle from the image's x axis to the rows of a lattice."""
-    row, column = np.nonzero(lattice >= 0)
-    design = np.column_stack([column, row, np.ones(len(row))])
-    along = np.linalg.lstsq(design, ellipses.centres[lattice[row, column]], rcond=None)[0][0]
-    return float(along[0] / np.hypot(*along))
 
 
 _FILLED = 0.9  # of a board's circles, that are seen of one that is proposed
@@ -221,17 +227,20 @@ class OtherGrid:
     def of(cls, lattice: Array, ellipses: Ellipses, board: Board, *, whole: bool) -> "OtherGrid":
         """Return a lattice as the board is drawn, or as the other type of board is if it holds more of it then."""
         other = CIRCLES if board.type == ASYMMETRIC_CIRCLES else ASYMMETRIC_CIRCLES
-        found = []
+        candidates = []
         for like in (board, replace(board, type=other, square=None, diameter=None)):
             drawn = as_drawn(lattice, like)
-            found.append(cls(drawn, ellipses, like, int((drawn >= 0).sum()), whole))
-        return max(found, key=lambda grid: grid.count)
+            candidates.append(cls(drawn, ellipses, like, int((drawn >= 0).sum()), whole))
+        return max(candidates, key=lambda grid: grid.count)
 
     def detection(self, gray: Array, board: Board) -> BoardDetection:
         """Return why the grid in an image (H, W) uint8 is not the board, and which board it is."""
         other, wanted = board_of(self.drawn, self.like), f"{board.columns} x {board.rows}"
-        if self.like.type == ASYMMETRIC_CIRCLES and _checkered(gray, self.count):
-            return BoardDetection.nothing(f"a checker pattern visible, no {board.words}")
+        if self.like.type == ASYMMETRIC_CIRCLES:
+            # the dark squares of a small checker pattern are an asymmetric grid of as many dots
+            patterns = (~np.isnan(pattern[..., 0]) for copy in proposals(gray) for pattern in copy)
+            if any(corners.sum() >= _CHECKERED * self.count for corners in patterns):
+                return BoardDetection.nothing(f"a checker pattern visible, no {board.words}")
         size = gray.shape[1], gray.shape[0]
         beyond, circles = self._next(size), self.ellipses.centres[self.drawn[self.drawn >= 0]]
         if self._leaves(beyond, size):
@@ -270,7 +279,43 @@ class OtherGrid:
         return any((tree.query(side)[0] < radius).sum() >= _GOES_ON for side in beyond)
 
 
-def _checkered(gray: Array, count: int) -> bool:
-    """Return whether there is a checker pattern: a small one's dark squares are an asymmetric grid of `count` dots."""
-    found = (~np.isnan(pattern[..., 0]) for copy in proposals(gray) for pattern in copy)
-    return any(corners.sum() >= _CHECKERED * count for corners in found)
+_RIM_POINTS = 24
+_ROUNDS = 3  # the map is fitted to centres that are off at first; each round leaves a quarter or less
+_TYPICAL_RADIUS = 0.3  # pitches
+
+
+def projected_centres(ellipses: Ellipses, points: Array, radius: float | None, size: tuple[int, int]) -> Array:
+    """Return the pixels (N, 2) of the discs' centres, from their ellipses in the image.
+
+    points: (N, 2) of the centres on the board. radius: in the same unit, None to find it from the ellipses' areas.
+    size: (width, height) of the image.
+    """
+    centres = ellipses.centres
+    for _ in range(_ROUNDS):
+        seen = map_of(points, centres, size)
+        reach = radius
+        if reach is None:  # the median over the discs' areas, from those of a trial radius
+            trial = _TYPICAL_RADIUS * float(np.linalg.norm(points[1:] - points[:-1], axis=1).min())
+            reach = trial * float(np.sqrt(np.median(ellipses.areas / _rims(seen, points, trial).areas)))
+        centres = ellipses.centres - (_rims(seen, points, reach).centres - seen.pixels(points))
+    return centres
+
+
+def _rims(seen: BoardMap, points: Array, radius: float) -> Ellipses:
+    """Return the ellipses that fit the images of the discs' rims best, every piece of a rim counting by its length."""
+    angles = 2 * np.pi * np.arange(_RIM_POINTS) / _RIM_POINTS
+    unit = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    traced = seen.pixels(points[:, None] + radius * unit)
+    lengths = np.linalg.norm(np.roll(traced, -1, axis=1) - np.roll(traced, 1, axis=1), axis=2)
+    centres = traced.mean(axis=1)
+    first = 2 / _RIM_POINTS * traced.swapaxes(1, 2) @ unit  # the first harmonic, an affine map of the circle
+    axes = square_roots(first @ first.swapaxes(1, 2))
+    x, y = np.moveaxis(traced - centres[:, None], -1, 0)
+    near = rim(x, y, axes)
+    (normal_x, normal_y), (across, down) = near.outward.swapaxes(0, 1), near.unit.swapaxes(0, 1)
+    design = [normal_x, normal_y, normal_x * across, normal_x * down + normal_y * across, normal_y * down]
+    jacobian = np.stack(design, axis=1)
+    weighted = jacobian * lengths[:, None]
+    normal = weighted @ jacobian.swapaxes(1, 2)
+    step = np.linalg.solve(normal, weighted @ near.distance[..., None])[..., 0]
+    return Ellipses(centres + step[:, :2], axes + step[:, [2, 3, 3, 4]].reshape(-1, 2, 2))

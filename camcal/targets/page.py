@@ -1,16 +1,20 @@
-"""Sheets of paper, a page as every kind of file draws it, and its PDF and SVG files.
+"""Sheets of paper, a page as every kind of file draws it, and its PDF, SVG and PNG files.
 
-A page is black shapes, discs and lines of text, in millimetres from its upper left corner, x right, y down. Its files
-are filled paths and Helvetica, nothing else; the same page gives the same bytes.
+A page is black shapes, discs and lines of text, in millimetres from its upper left corner, x right, y down. PDF and SVG
+files are filled paths and Helvetica, nothing else; the same page gives the same bytes. In a PNG file every pixel is as
+gray as the share of it that ink covers, and the file says at which size it is printed.
 """
 
 import math
 import re
+import struct
+import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from xml.sax.saxutils import escape
 
+import cv2
 import numpy as np
 
 from camcal.arrays import Array, readonly
@@ -194,7 +198,9 @@ def _content(page: Page) -> Iterator[str]:
     height = page.size[1]
     yield "0 g"  # black of the gray ink alone
     for outline in page.outlines:
-        yield from _polygon(outline, height)
+        for number, (x, y) in enumerate(outline):
+            yield f"{_place(x, height - y)} {'l' if number else 'm'}"
+        yield "h"
     if page.outlines:
         yield "f"
     for x, y, radius, ink in page.discs:
@@ -202,13 +208,9 @@ def _content(page: Page) -> Iterator[str]:
         yield from _circle(x, height - y, radius)
         yield "f"
     yield "0 g"
-    yield from (_line(text, height) for text in page.texts)
-
-
-def _polygon(outline: Array, height: float) -> Iterator[str]:
-    for number, (x, y) in enumerate(outline):
-        yield f"{_place(x, height - y)} {'l' if number else 'm'}"
-    yield "h"
+    for text in page.texts:
+        size, place = _number(text.size * POINTS_PER_MM), _place(text.x, height - text.y)
+        yield f"BT /F1 {size} Tf {place} Td {_text(text.words)} Tj ET"
 
 
 def _circle(x: float, y: float, radius: float) -> Iterator[str]:
@@ -221,11 +223,6 @@ def _circle(x: float, y: float, radius: float) -> Iterator[str]:
         places = [_place(x + radius * a, y + radius * b) for a, b in (*path, (next_cos, next_sin))]
         yield f"{' '.join(places)} c"
     yield "h"
-
-
-def _line(text: Text, height: float) -> str:
-    size, place = _number(text.size * POINTS_PER_MM), _place(text.x, height - text.y)
-    return f"BT /F1 {size} Tf {place} Td {_text(text.words)} Tj ET"
 
 
 def _place(x: float, y: float) -> str:
@@ -256,16 +253,12 @@ def _svg_lines(page: Page) -> Iterator[str]:
     yield f"<title>{escape(page.title)}</title>"
     yield f'<rect width="{width}" height="{height}" fill="#fff"/>'
     if page.outlines:
-        yield f'<path fill="#000" d="{" ".join(map(_svg_path, page.outlines))}"/>'
+        corners = (" ".join(f"{_millimetres(x)},{_millimetres(y)}" for x, y in outline) for outline in page.outlines)
+        yield f'<path fill="#000" d="{" ".join(f"M{places}Z" for places in corners)}"/>'
     for x, y, radius, ink in page.discs:
         yield f'<circle cx="{_millimetres(x)}" cy="{_millimetres(y)}" r="{_millimetres(radius)}" fill="{_INKS[ink]}"/>'
     yield from map(_svg_text, page.texts)
     yield "</svg>"
-
-
-def _svg_path(outline: Array) -> str:
-    places = " ".join(f"{_millimetres(x)},{_millimetres(y)}" for x, y in outline)
-    return f"M{places}Z"
 
 
 def _svg_text(text: Text) -> str:
@@ -281,3 +274,126 @@ def _svg_text(text: Text) -> str:
 def _millimetres(value: float) -> str:
     """Return a number of millimetres to 10 nm."""
     return f"{value + 0.0:.5f}".rstrip("0").rstrip(".")
+
+
+MAX_PIXELS = 400_000_000
+
+_BAND = 256  # rows of pixels drawn at a time
+_CHORDS = 16  # of a disc in every row of pixels: its area is then good to 1e-3 of a pixel
+_FONT = cv2.FONT_HERSHEY_SIMPLEX
+_STROKE = 0.05  # of the font's size
+
+
+def dots_per_mm(dpi: float) -> float:
+    """Return the resolution that a PNG file can state, whole pixels a metre, nearest to `dpi`."""
+    return round(dpi / MM_PER_INCH * 1000) / 1000
+
+
+def size_in_pixels(page: Page, dpi: float) -> tuple[int, int]:
+    """Return the width and height of a page; raises InvalidInput for none, or for more than MAX_PIXELS."""
+    width, height = (round(side * dots_per_mm(dpi)) for side in page.size)
+    if min(width, height) < 1 or width * height > MAX_PIXELS:
+        raise InvalidInput(
+            f"{dpi:g} dpi makes {width} x {height} pixels; at most {MAX_PIXELS // 10**6} million are drawn"
+        )
+    return width, height
+
+
+def png(page: Page, dpi: float) -> bytes:
+    """Return the bytes of a PNG file of 8 bits gray that says how many pixels a metre it has.
+
+    Edges are where they are to 1/255 of a pixel: a pixel is as gray as ink covers it, without gamma.
+    """
+    size, scale = size_in_pixels(page, dpi), dots_per_mm(dpi)
+    header = struct.pack(">II", *size) + bytes([8, 0, 0, 0, 0])  # 8 bits gray, not interlaced
+    metre = struct.pack(">IIB", round(scale * 1000), round(scale * 1000), 1)
+    title = b"Title\0" + page.title.encode("ascii")
+    chunks = (
+        (b"IHDR", header),
+        (b"pHYs", metre),
+        (b"tEXt", title),
+        (b"IDAT", _pack(page, size, scale)),
+        (b"IEND", b""),
+    )
+    return b"\x89PNG\r\n\x1a\n" + b"".join(
+        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data)) for kind, data in chunks
+    )
+
+
+def _pack(page: Page, size: tuple[int, int], scale: float) -> bytes:
+    """Return the compressed rows, each as its difference from the one above (PNG's filter 2)."""
+    packer = zlib.compressobj()
+    above = np.zeros(size[0], np.uint8)
+    parts = []
+    for rows in _bands(page, size, scale):
+        change = rows - np.vstack([above, rows[:-1]])
+        parts.append(packer.compress(np.pad(change, ((0, 0), (1, 0)), constant_values=2).tobytes()))
+        above = rows[-1]
+    return b"".join([*parts, packer.flush()])
+
+
+def _bands(page: Page, size: tuple[int, int], scale: float) -> Iterator[Array]:
+    """Yield the rows (n, width) uint8 of a page from above, a few at a time."""
+    sides = _sides(page, scale)
+    for top in range(0, size[1], _BAND):
+        shape = min(_BAND, size[1] - top), size[0]
+        gray = np.rint(255 * (1 - np.clip(_cover(sides, top, shape), 0, 1))).astype(np.uint8)
+        for text in page.texts:
+            _write(gray, text, top, scale)
+        yield gray
+
+
+def _cover(sides: tuple[Array, ...], top: int, shape: tuple[int, int]) -> Array:
+    """Return the share of ink (rows, columns) of the pixels from row `top` on; sides: see `_sides`."""
+    (x, upper, lower, sign), (rows, columns) = sides, shape
+    first = np.clip(np.floor(upper).astype(int) - top, 0, rows)
+    last = np.clip(np.ceil(lower).astype(int) - top, 0, rows)
+    side = np.repeat(np.arange(len(first)), last - first)
+    row = np.arange(len(side)) - np.repeat(np.cumsum(last - first) - last, last - first)
+    height = np.minimum(lower[side], row + top + 1) - np.maximum(upper[side], row + top)
+    begins = np.floor(x[side]).astype(int)
+    share = x[side] - begins
+    weight = sign[side] * height
+    # What a side adds to its own pixel, and from the next one on to all of the row
+    place = row * (columns + 2) + begins
+    steps = np.bincount(place, weight * (1 - share), rows * (columns + 2))
+    steps += np.bincount(place + 1, weight * share, rows * (columns + 2))
+    return np.cumsum(steps.reshape(rows, columns + 2), axis=1)[:, :columns]
+
+
+def _sides(page: Page, scale: float) -> tuple[Array, ...]:
+    """Return the upright sides of a page's shapes, and the ends of its discs' chords, in pixels.
+
+    Their places x, their upper and lower ends, and a sign: 1 where black begins, -1 where it ends.
+    """
+    ends = [np.stack([outline, np.roll(outline, -1, axis=0)], axis=1) for outline in page.outlines]
+    walked = np.concatenate([np.zeros((0, 2, 2)), *ends]) * scale
+    walked = walked[walked[:, 0, 1] != walked[:, 1, 1]]
+    x, start, end = walked[:, 0, 0], walked[:, 0, 1], walked[:, 1, 1]
+    sides = [(x, np.minimum(start, end), np.maximum(start, end), np.sign(start - end))]
+    sides += [_chords(disc, scale) for disc in page.discs]
+    return tuple(np.concatenate(parts) for parts in zip(*sides, strict=True))
+
+
+def _chords(disc: Array, scale: float) -> tuple[Array, Array, Array, Array]:
+    x, y, radius = disc[:3] * scale
+    edges = np.arange(np.floor((y - radius) * _CHORDS), np.ceil((y + radius) * _CHORDS) + 1) / _CHORDS
+    middle = (edges[:-1] + edges[1:]) / 2
+    half = np.sqrt(np.maximum(radius**2 - (middle - y) ** 2, 0))
+    sign = np.where(disc[3] == 0, 1.0, -1.0)  # white takes the black below it away
+    return (
+        np.concatenate([x - half, x + half]),
+        np.tile(edges[:-1], 2),
+        np.tile(edges[1:], 2),
+        np.repeat([sign, -sign], len(half)),
+    )
+
+
+def _write(gray: Array, text: Text, top: int, scale: float) -> None:
+    """Write a line of text into rows from `top` on, as wide as it is in Helvetica."""
+    x, y, size = round(text.x * scale), round(text.y * scale) - top, text.size * scale
+    if not -size < y < len(gray) + size:
+        return
+    thickness = max(1, round(_STROKE * size))
+    (width, _), _ = cv2.getTextSize(text.words, _FONT, 1.0, thickness)
+    cv2.putText(gray, text.words, (x, y), _FONT, text.width * scale / width, 0, thickness, cv2.LINE_AA)

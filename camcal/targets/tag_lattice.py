@@ -1,4 +1,8 @@
-"""The tags of a grid as one lattice: prediction of corners, and position of a group of tags on the board.
+"""Tags of an AprilGrid in an image: outlines, the agreement of their bits, and all tags as one lattice.
+
+A tag is a dark quadrilateral with a bright gap around it. At its corners it touches the small black squares of the
+print, but only there, so that a threshold somewhat below the local mean keeps them apart. Bits are never decided one by
+one: a blurred tag agrees with its code as a whole, and a board does with all its tags together.
 
 Lines at the edges of all tags cross in 2 rows × 2 columns corners, which an array (2 rows, 2 columns, 2) of pixels
 holds, NaN where a corner is missing; rows go upwards on the print, as Kalibr's do. Lengths are in sides of a tag.
@@ -7,15 +11,162 @@ Whether two quadrilaterals stand side by side as the tags of a grid do follows f
 a shape before a bit is read, and all bits of the group decide together where on the board it is and how it is turned.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cache
 
+import cv2
 import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import breadth_first_order, connected_components
 
+from camcal import opencv
 from camcal.arrays import Array, readonly
-from camcal.targets.aprilgrid.outlines import bit_agreement
 from camcal.targets.board import Board
+from camcal.targets.board_types import TAG_BORDER
+from camcal.targets.pattern import family_named
+
+_SMALL, _MEDIUM, _LARGE, _TINY = 0.5e6, 1.5e6, 6e6, 0.12e6  # pixels of the copies
+_ENLARGEMENTS = ((1.5e6, 1.6), (0.8e6, 2.5))  # of images with fewer pixels
+_LEAST_SIDE_PX = 8.0
+_STRAIGHT = 0.05  # of its length, how far an outline may be from a quadrilateral
+_STUCK_OUT = 0.25  # of half a diagonal; the small square is 0.6 of it with Kalibr's usual gap
+_OUTLINE_PX = 1.5  # how far its corners may be from the tag's
+_MIDDLES = 0.15  # a cell is read by four samples so far from its middle, in cells
+_BEYOND_DOUBT = 0.85  # of the correlation of a tag's bits, out of all codes and turns
+_LEAST_CONTRAST = 2.0  # gray levels, standard deviation of a tag's bits
+
+
+def quadrilaterals(gray: Array) -> Iterator[tuple[Array, float]]:
+    """Yield what may be tags in `gray`, (H, W) uint8, each time from another copy or threshold, the quick ones first.
+
+    They are at corners (Q, 4, 2) px, clockwise; the number says how far off (px) the corners of a tag may be. Structure
+    takes few pixels, and blur is narrow in a small copy; large copies and enlarged ones show the small tags.
+    """
+    for scale, block, drop in _attempts(gray.size):
+        copy = gray if scale == 1 else opencv.resized(gray, scale)
+        to_image = np.array(gray.shape[::-1]) / np.array(copy.shape[::-1])
+        corners = (_dark_quadrilaterals(copy, block, drop) + 0.5) * to_image - 0.5
+        yield corners, _OUTLINE_PX * float(to_image.max())
+
+
+def _attempts(size: int) -> Iterator[tuple[float, int, float]]:
+    """Yield the scale of a copy, and the threshold's neighbourhood and drop below its mean, for so many pixels."""
+    small, medium, large, tiny = (min(1.0, float(np.sqrt(p / size))) for p in (_SMALL, _MEDIUM, _LARGE, _TINY))
+    yield from ((small, 3, 7.0), (small, 3, 3.0))
+    if small < 1:
+        yield from ((medium, 3, 7.0), (medium, 5, 5.0))
+    else:
+        yield (small, 5, 5.0)
+    yield from ((scale, 5, 5.0) for limit, scale in _ENLARGEMENTS if size < limit)
+    if medium < 1:
+        yield (large, 3, 7.0)
+    yield from ((tiny, 3, 3.0), (small, 9, 3.0))
+
+
+def _dark_quadrilaterals(gray: Array, block: int, drop: float) -> Array:
+    """Return the corners (Q, 4, 2) px of dark convex quadrilaterals, clockwise."""
+    dark = cv2.adaptiveThreshold(gray, 255, cv2.ADAPTIVE_THRESH_MEAN_C, cv2.THRESH_BINARY_INV, block, drop)
+    outlines, _ = cv2.findContours(dark, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
+    longest = 2 * sum(gray.shape)
+    quadrilaterals = []
+    for outline in outlines:
+        if not 4 * _LEAST_SIDE_PX <= len(outline) <= longest:
+            continue
+        corners = cv2.approxPolyDP(outline, _STRAIGHT * len(outline), closed=True)
+        if len(corners) == 4 and cv2.isContourConvex(corners):
+            quadrilaterals.append(corners.reshape(4, 2))
+    corners = np.array(quadrilaterals, dtype=np.float64).reshape(-1, 4, 2)
+    turned = _cross(corners[:, 1] - corners[:, 0], corners[:, 3] - corners[:, 0]) < 0  # y is down
+    clockwise = np.where(turned[:, None, None], corners[:, ::-1], corners)
+    sides = np.linalg.norm(clockwise - np.roll(clockwise, 1, axis=1), axis=2)
+    return _mend(clockwise[sides.min(axis=1) >= _LEAST_SIDE_PX / 2])  # without slits
+
+
+def _mend(corners: Array) -> Array:
+    """Return quadrilaterals (Q, 4, 2) whose one corner that sticks out, if any, is put where it makes a parallelogram.
+
+    Where noise joins a tag with the small square at its corner the outline runs around both.
+    """
+    away = corners - corners.mean(axis=1, keepdims=True)
+    size = np.linalg.norm(away, axis=2)
+    excess = (away[:, 0] - away[:, 1] + away[:, 2] - away[:, 3])[:, None] * np.array([1, -1, 1, -1])[:, None]
+    outward = (excess * away).sum(axis=2) / np.maximum(size, 1e-9)
+    place = np.arange(len(corners)), outward.argmax(axis=1)
+    long = outward[place] > np.maximum(_STUCK_OUT * size.mean(axis=1), 0.9 * np.linalg.norm(excess[:, 0], axis=1))
+    mended = corners.copy()
+    mended[place] -= np.where(long[:, None], excess[place], 0.0)
+    return mended
+
+
+@cache
+def codes_of(dictionary: str) -> Array:
+    """Return the bits (ids, n, n) of a family's tags, upright as printed: 1 is white."""
+    family = family_named(dictionary)
+    return readonly(family.printed(range(family.count))[:, 1:-1, 1:-1], (None, None, None), "bits")
+
+
+def bit_agreement(gray: Array, corners: Array, codes: Array) -> Array:
+    """Return the correlation (M, K) of what is seen of tags with codes (K, n, n), 0 where nothing is seen.
+
+    corners: (M, 4, 2) px, clockwise from the upper left as the codes are turned. Of what is no tag at all the
+    correlations scatter by 1/n about 0.
+    """
+    seen = _cells(gray, corners, codes.shape[-1]).reshape(len(corners), codes[0].size)
+    seen = seen - seen.mean(axis=1, keepdims=True)
+    spread = seen.std(axis=1, keepdims=True)
+    seen = np.where(spread > _LEAST_CONTRAST, seen / np.where(spread > 0, spread, 1.0), 0.0)
+    expected = codes.reshape(len(codes), -1).astype(np.float64)
+    expected -= expected.mean(axis=1, keepdims=True)
+    expected /= expected.std(axis=1, keepdims=True)
+    return np.asarray(np.nan_to_num(seen) @ expected.T / expected.shape[1])
+
+
+def read_tags(gray: Array, corners: Array, codes: Array) -> tuple[Array, Array]:
+    """Return the ids, ascending, of codes (K, n, n) that quadrilaterals show beyond doubt, and the corners of these.
+
+    corners: (Q, 4, 2) px; those that are returned (P, 4, 2), in no order of the ids.
+    """
+    agreement = np.stack([bit_agreement(gray, np.roll(corners, turns, axis=1), codes) for turns in range(4)])
+    _, shown, ids = np.nonzero(np.asarray(agreement > _BEYOND_DOUBT))
+    return np.unique(ids), corners[np.unique(shown)]
+
+
+def _cells(gray: Array, corners: Array, side: int) -> Array:
+    """Return the gray values (M, side, side) of the cells within the borders of tags, NaN out of the image."""
+    cells = side + 2 * TAG_BORDER
+    steps = (TAG_BORDER + 0.5 + np.arange(side)) / cells
+    x, y = (values[..., None] for values in np.meshgrid(steps, steps))
+    shift = np.array([-1, 1]) * _MIDDLES / cells
+    shift_x, shift_y = (values.ravel() for values in np.meshgrid(shift, shift))
+    places = np.stack([x + shift_x, y + shift_y], axis=-1).reshape(-1, 2)
+    seen = _within(corners, places)
+    inside = np.all((seen >= 0) & (seen <= np.array(gray.shape[::-1]) - 1), axis=-1)
+    x, y = np.moveaxis(np.where(inside[..., None], seen, 0.0), -1, 0)
+    values = np.where(inside, opencv.sampled(gray, x, y), np.nan)
+    return np.asarray(values.reshape(-1, side, side, 4).mean(axis=-1))
+
+
+def _within(corners: Array, places: Array) -> Array:
+    """Return the pixels (M, P, 2) of places (P, 2) of a unit square whose corners are seen at (M, 4, 2).
+
+    Source: Heckbert, Fundamentals of Texture Mapping and Image Warping, 1989, section 2.2.3.
+    """
+    first, second, third, fourth = np.moveaxis(corners, 1, 0)
+    one, two, skew = second - third, fourth - third, first - second + third - fourth
+    area = _cross(one, two)
+    area = np.where(np.abs(area) < 1e-9, np.nan, area)
+    g, h = (_cross(skew, two) / area)[:, None], (_cross(one, skew) / area)[:, None]
+    along, down = second - first + g * second, fourth - first + h * fourth
+    x, y = places[:, 0], places[:, 1]
+    depth = 1 + g * x + h * y
+    flat = along[:, None] * x[:, None] + down[:, None] * y[:, None] + first[:, None]
+    return np.asarray(flat / np.where(depth > 0, depth, np.nan)[..., None])
+
+
+def _cross(one: Array, two: Array) -> Array:
+    return np.asarray(one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0])
+
 
 _CORNERS = np.array([[0, 1], [3, 2]])  # Kalibr's number of a tag's corner, [upper, right]
 _NEIGHBOURS = 12  # the nearest corners, which say where one lies
@@ -93,14 +244,14 @@ def predict(lattice: TagLattice, grid: Array, *, own: bool = False) -> Predicted
 
     The nearest corners are fitted by a homography, each as exact as a lens that distorts leaves it at its distance.
     """
-    nodes, known = lattice.nodes.reshape(-1, 2), ~np.isnan(grid[..., 0]).ravel()
-    away = nodes[known] - nodes[:, None]
+    nodes, present = lattice.nodes.reshape(-1, 2), ~np.isnan(grid[..., 0]).ravel()
+    away = nodes[present] - nodes[:, None]
     distance = np.linalg.norm(away, axis=2)
     if not own:
         distance[distance == 0] = np.inf
     nearest = np.argsort(distance, axis=1, kind="stable")[:, :_NEIGHBOURS]
     away, distance = (np.take_along_axis(v, i, axis=1) for v, i in ((away, nearest[..., None]), (distance, nearest)))
-    seen = grid.reshape(-1, 2)[known][nearest]
+    seen = grid.reshape(-1, 2)[present][nearest]
     weights = np.where(distance < _REACH, 1 / (_EXACT**2 + (_BENT * distance**2) ** 2), 0.0)
     middle = seen.mean(axis=1, keepdims=True)
     size = _radius(seen) / _radius(away)  # px of a tag's side, more or less
@@ -135,14 +286,6 @@ def _radius(places: Array) -> Array:
     return np.asarray(np.sqrt(places.var(axis=1, keepdims=True).sum(axis=2, keepdims=True)) + 1e-9)
 
 
-def inverse(frames: Array) -> Array:
-    """Return the inverses of (..., 2, 2), NaN of parallel columns."""
-    a, b, c, d = (frames[..., i, j] for i in (0, 1) for j in (0, 1))
-    area = a * d - b * c
-    area = np.where(np.abs(area) < 1e-9, np.nan, area)
-    return np.stack([np.stack([d, -b], axis=-1), np.stack([-c, a], axis=-1)], axis=-2) / area[..., None, None]
-
-
 _OFF = 0.3  # sides of a tag, how far the middle of a neighbour may be from where one tag puts it
 _SKEW = 0.5  # largest entry of the difference between the frames of neighbours
 _SAME = 0.2  # sides of a tag; outlines with middles so near are of one tag
@@ -169,14 +312,6 @@ class TagGroup:
         return TagGroup(cells, np.roll(self.corners, turns, axis=1))
 
 
-@dataclass(frozen=True, eq=False)
-class Placed:
-    """A group's corners on the board: grid (2 rows, 2 columns, 2) px, NaN where none. score: see `placed`."""
-
-    grid: Array
-    score: float
-
-
 def tag_groups(corners: Array, spacing: float) -> list[TagGroup]:
     """Return the groups among quadrilaterals at corners (Q, 4, 2) px, clockwise.
 
@@ -190,7 +325,7 @@ def tag_groups(corners: Array, spacing: float) -> list[TagGroup]:
     count, label = connected_components(linked, directed=False)
     links = np.diff(linked.indptr)
     roots = [int(np.argmax(np.where(label == group, links, -1))) for group in range(count)]
-    return [_walked(corners, linked, steps, turns, root) for root in roots]
+    return [_walk(corners, linked, steps, turns, root) for root in roots]
 
 
 def most_legible(gray: Array, codes: Array, groups: list[TagGroup]) -> list[TagGroup]:
@@ -227,7 +362,10 @@ def _outermost(corners: Array) -> Array:
 def _neighbours(corners: Array, spacing: float) -> tuple[Array, Array]:
     """Return steps (Q, Q, 2) in cells from each tag to its neighbours, 0 to all others, and turns (Q, Q) of frames."""
     middles, sides = _frames(corners)
-    back = inverse(sides)[:, None]
+    (a, b), (c, d) = np.moveaxis(sides, 0, -1)
+    area = a * d - b * c
+    area = np.where(np.abs(area) < 1e-9, np.nan, area)  # of parallel sides
+    back = (np.moveaxis(np.array([[d, -b], [-c, a]]), -1, 0) / area[:, None, None])[:, None]
     away = (back @ (middles - middles[:, None])[..., None])[..., 0] / spacing
     steps = np.rint(away)
     frames = back @ sides
@@ -239,7 +377,7 @@ def _neighbours(corners: Array, spacing: float) -> tuple[Array, Array]:
     return np.where((linked & linked.T)[..., None], np.nan_to_num(steps), 0.0).astype(np.intp), turns
 
 
-def _walked(corners: Array, linked: csr_array, steps: Array, turns: Array, root: int) -> TagGroup:
+def _walk(corners: Array, linked: csr_array, steps: Array, turns: Array, root: int) -> TagGroup:
     """Return the group around a tag, each cell taken by the tag that is reached first."""
     if not steps[root].any():
         return TagGroup(np.zeros((1, 2), np.intp), corners[[root]])
@@ -253,29 +391,3 @@ def _walked(corners: Array, linked: csr_array, steps: Array, turns: Array, root:
         taken.setdefault((int(cells[tag][0]), int(cells[tag][1])), int(tag))
     aligned = [np.roll(corners[tag], turn[tag], axis=0) for tag in taken.values()]
     return TagGroup(np.array(list(taken)), np.array(aligned))
-
-
-def placed(gray: Array, lattice: TagLattice, codes: Array, group: TagGroup) -> Placed:
-    """Return where on the board a group is, by the agreement of all its bits with codes (tags, n, n).
-
-    The score is the sum of correlations in standard deviations of what bits at random would give.
-    """
-    upright = [_placed_upright(gray, lattice, codes, group.turned(turns)) for turns in range(4)]
-    return max(upright, key=lambda one: one.score)
-
-
-def _placed_upright(gray: Array, lattice: TagLattice, codes: Array, group: TagGroup) -> Placed:
-    """Return the best place of a group whose corners begin at the upper left of the upright print."""
-    column, row = group.cells[:, 0], group.cells[:, 1].max() - group.cells[:, 1]  # rows go upwards on the board
-    height, width = int(row.max()), int(column.max())
-    agreement = bit_agreement(gray, group.corners, codes).reshape(-1, lattice.rows, lattice.columns)
-    padded = np.pad(agreement, ((0, 0), (height, height), (width, width)))
-    shape = (lattice.rows + height, lattice.columns + width)
-    total = sum(values[y : y + shape[0], x : x + shape[1]] for values, x, y in zip(padded, column, row, strict=True))
-    up, right = np.unravel_index(int(np.argmax(total)), shape)
-    score = float(total[up, right]) * codes.shape[-1] / np.sqrt(len(group.cells))
-    row, column = row + int(up) - height, column + int(right) - width
-    inside = (row >= 0) & (row < lattice.rows) & (column >= 0) & (column < lattice.columns)
-    tags = np.full((lattice.count, 4, 2), np.nan)
-    tags[row[inside] * lattice.columns + column[inside]] = group.corners[inside, ::-1]
-    return Placed(lattice.grid(tags), score)

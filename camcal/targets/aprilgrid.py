@@ -16,15 +16,25 @@ from itertools import islice
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.targets.aprilgrid.outlines import bit_agreement, codes_of, quadrilaterals, read_tags
-from camcal.targets.aprilgrid.tag_lattice import Predicted, TagLattice, most_legible, placed, predict, tag_groups
 from camcal.targets.board import Board
 from camcal.targets.board_types import TAG_BORDER
-from camcal.targets.checker.checker import AGREEMENT, CONTRAST, measure_saddles
+from camcal.targets.checker.checker import CONTRAST, NodeMeasurements, measure_saddles
 from camcal.targets.corners.cells import Beside, Cells
 from camcal.targets.corners.measure import blur_of, clear, tag_reach
 from camcal.targets.corners.refine import refine
 from camcal.targets.detection import MIN_CORNERS, BoardDetection, MaskedImage
+from camcal.targets.tag_lattice import (
+    Predicted,
+    TagGroup,
+    TagLattice,
+    bit_agreement,
+    codes_of,
+    most_legible,
+    predict,
+    quadrilaterals,
+    read_tags,
+    tag_groups,
+)
 
 WINDOW = 0.6  # of a tag's side, what nodes take for the distance of the next corner
 CLEARANCE = 0.3  # of that, how far from an edge they go: not as far as the bits
@@ -67,24 +77,6 @@ class _TagCorners:
         return ~np.isnan(self.grid[..., 0])
 
 
-@dataclass(frozen=True, eq=False)
-class _NodeMeasurements:
-    """What is seen at the corners of a grid (2 rows, 2 columns), NaN where not examined.
-
-    contrast: gray levels, positive where dark and bright are as on the board. moved: from the start, in sides of a tag.
-    """
-
-    grid: Array
-    contrast: Array
-    agreement: Array
-    moved: Array
-
-    @property
-    def crossing(self) -> Array:
-        """Where two edges cross near the start as they do on the board."""
-        return np.asarray((self.agreement > AGREEMENT) & (self.moved < MOVED) & (self.contrast > 0))
-
-
 def find_aprilgrid(gray: Array, board: Board, samples: MaskedImage | None = None) -> BoardDetection:
     """Return the corners of an AprilGrid in `gray`, (H, W) uint8, with covariance, or the reason why there are none.
 
@@ -100,64 +92,92 @@ def find_aprilgrid(gray: Array, board: Board, samples: MaskedImage | None = None
         if seen.right >= ENOUGH and not seen.wrong:
             break
     if not best.right:
-        return _unseen(gray, board, lattice)
+        return _explain_absence(gray, board, lattice)
     if best.wrong > best.right:
         layout = f"{board.columns} x {board.rows}"
         reason = f"tag positions do not match a board of {layout} tags: check its size"
         return BoardDetection.nothing(reason, refused=best.grid)
-    return _measured(samples or MaskedImage(gray), lattice, best, codes.shape[-1] + 2 * TAG_BORDER)
+    return _measure(samples or MaskedImage(gray), lattice, best, codes.shape[-1] + 2 * TAG_BORDER)
 
 
 def _candidates(gray: Array, lattice: TagLattice, codes: Array) -> Iterator[_TagCorners]:
     """Yield what is seen of the board from each group of tags whose bits are certain."""
-    for outlines in quadrilaterals(gray):
-        groups = most_legible(gray, codes, tag_groups(outlines.corners, 1 + lattice.gap))
+    for corners, off_px in quadrilaterals(gray):
+        groups = most_legible(gray, codes, tag_groups(corners, 1 + lattice.gap))
         for group in groups[:GROUPS]:
-            start = placed(gray, lattice, codes, group)
-            if start.score >= CERTAIN:
-                yield _verified(gray, lattice, codes, _settled(gray, lattice, start.grid, outlines.off_px))
+            start, score = place_group(gray, lattice, codes, group)
+            if score >= CERTAIN:
+                yield _verify(gray, lattice, codes, _follow(gray, lattice, start, off_px))
 
 
-def _settled(gray: Array, lattice: TagLattice, start: Array, off_px: float) -> _TagCorners:
+def place_group(gray: Array, lattice: TagLattice, codes: Array, group: TagGroup) -> tuple[Array, float]:
+    """Return the corners of a group on the board by the agreement of all its bits with codes (tags, n, n), and a score.
+
+    The corners are a grid (2 rows, 2 columns, 2) px, NaN where none. The score is the sum of correlations in standard
+    deviations of what bits at random would give.
+    """
+    upright = [_place_upright(gray, lattice, codes, group.turned(turns)) for turns in range(4)]
+    return max(upright, key=lambda placed: placed[1])
+
+
+def _place_upright(gray: Array, lattice: TagLattice, codes: Array, group: TagGroup) -> tuple[Array, float]:
+    """Return the best place of a group whose corners begin at the upper left of the upright print, and its score."""
+    column, row = group.cells[:, 0], group.cells[:, 1].max() - group.cells[:, 1]  # rows go upwards on the board
+    height, width = int(row.max()), int(column.max())
+    agreement = bit_agreement(gray, group.corners, codes).reshape(-1, lattice.rows, lattice.columns)
+    padded = np.pad(agreement, ((0, 0), (height, height), (width, width)))
+    shape = (lattice.rows + height, lattice.columns + width)
+    total = sum(values[y : y + shape[0], x : x + shape[1]] for values, x, y in zip(padded, column, row, strict=True))
+    up, right = np.unravel_index(int(np.argmax(total)), shape)
+    score = float(total[up, right]) * codes.shape[-1] / np.sqrt(len(group.cells))
+    row, column = row + int(up) - height, column + int(right) - width
+    inside = (row >= 0) & (row < lattice.rows) & (column >= 0) & (column < lattice.columns)
+    tags = np.full((lattice.count, 4, 2), np.nan)
+    tags[row[inside] * lattice.columns + column[inside]] = group.corners[inside, ::-1]
+    return lattice.grid(tags), score
+
+
+def _follow(gray: Array, lattice: TagLattice, start: Array, off_px: float) -> _TagCorners:
     """Return the corners that are seen near those of some tags, and from them on as far as the board goes.
 
     off_px: how far those of the tags may be off.
     """
-    nodes = _measured_nodes(gray, lattice, start, predict(lattice, start), np.full(start.shape[:2], off_px))
-    crossing = nodes.crossing
+    nodes = _measure_nodes(gray, lattice, start, predict(lattice, start), np.full(start.shape[:2], off_px))
+    crossing = nodes.crossing(MOVED) & (nodes.contrast > 0)
     if not crossing.any():
         return _TagCorners.nothing(lattice)
     seen = _TagCorners(np.where(crossing[..., None], nodes.grid, np.nan), float(np.median(nodes.contrast[crossing])))
     for _ in range(sum(seen.grid.shape[:2])):
-        grown = _grown(gray, lattice, seen)
+        grown = _grow(gray, lattice, seen)
         if (grown.found == seen.found).all():
             break
         seen = grown
     return seen
 
 
-def _grown(gray: Array, lattice: TagLattice, seen: _TagCorners) -> _TagCorners:
+def _grow(gray: Array, lattice: TagLattice, seen: _TagCorners) -> _TagCorners:
     """Return the corners without those that stray, with missing ones that are seen where their neighbours put them."""
     predicted = predict(lattice, seen.grid)
     side = _side(predicted.steps)
     off = np.linalg.norm(predicted.places - seen.grid, axis=-1) / side
     grid = np.where((off > STRAY + 2 * predicted.spread)[..., None], np.nan, seen.grid)
     missing = np.where(seen.found[..., None], np.nan, predicted.places)
-    nodes = _measured_nodes(gray, lattice, missing, predicted, predicted.spread * side)
-    new = nodes.crossing & (nodes.contrast > CONTRAST * seen.contrast)
+    nodes = _measure_nodes(gray, lattice, missing, predicted, predicted.spread * side)
+    new = nodes.crossing(MOVED) & (nodes.contrast > CONTRAST * seen.contrast)
     return _TagCorners(np.where(new[..., None], nodes.grid, grid), seen.contrast)
 
 
-def _measured_nodes(
+def _measure_nodes(
     gray: Array, lattice: TagLattice, places: Array, predicted: Predicted, off_px: Array
-) -> _NodeMeasurements:
+) -> NodeMeasurements:
     """Return what is seen near the places (2 rows, 2 columns, 2) px that are not NaN and lie in the image.
 
-    off_px: (2 rows, 2 columns) how far the corners may be from them.
+    off_px: (2 rows, 2 columns) how far the corners may be from them. The contrast is positive where dark and bright are
+    as on the board.
     """
     side = _side(predicted.steps)
     where = ((places > -0.5) & (places < np.array(gray.shape[::-1]) - 0.5)).all(axis=-1) & (side > LEAST_SIDE_PX)
-    result = _NodeMeasurements(places.copy(), *np.full((3, *side.shape), np.nan))
+    result = NodeMeasurements(places.copy(), *np.full((3, *side.shape), np.nan))
     if where.any():
         far = bool((off_px[where] > NEAR * WINDOW * side[where]).any())
         seen = measure_saddles(gray, places[where], WINDOW * predicted.steps[where], CLEARANCE, far=far)
@@ -172,7 +192,7 @@ def _side(steps: Array) -> Array:
     return np.asarray(np.linalg.norm(steps, axis=-2).min(axis=-1))
 
 
-def _verified(gray: Array, lattice: TagLattice, codes: Array, seen: _TagCorners) -> _TagCorners:
+def _verify(gray: Array, lattice: TagLattice, codes: Array, seen: _TagCorners) -> _TagCorners:
     """Return the corners without those of tags whose bits are others, and the numbers of right and of wrong tags.
 
     The bits of a tag are read where its four corners are, or where their neighbours put them.
@@ -188,19 +208,21 @@ def _verified(gray: Array, lattice: TagLattice, codes: Array, seen: _TagCorners)
     return _TagCorners(grid, seen.contrast, int((agreement > RIGHT).sum()), int(other.sum()))
 
 
-def _measured(samples: MaskedImage, lattice: TagLattice, seen: _TagCorners, side: int) -> BoardDetection:
+def _measure(samples: MaskedImage, lattice: TagLattice, seen: _TagCorners, side: int) -> BoardDetection:
     """Return the corners as exactly as the image allows, with their covariance, in the order of their ids.
 
     side: cells across a tag, its border included.
     """
-    known, grid = seen.found, seen.grid.copy()
-    blur = blur_of(samples.values, grid[known])
+    found, grid = seen.found, seen.grid.copy()
+    blur = blur_of(samples.values, grid[found])
     for _ in range(PASSES):
         cells = tag_cells(lattice, grid, predict(lattice, grid, own=True), side)
         crowded = cells.crowded(blur)
-        own = cells if crowded else uncrowded(cells)
-        corners = refine(samples.values, grid[known], own, blur, samples.sites)
-        grid[known] = corners.pixels
+        if not crowded:  # without the edges beside them: as deep as cells go in an image that is sharp enough
+            depth = np.minimum(cells.depth, cells.reach.min(axis=(1, 2))[:, None, None])
+            cells = replace(cells, depth=depth, beside=None)
+        corners = refine(samples.values, grid[found], cells, blur, samples.sites)
+        grid[found] = corners.pixels
         if not crowded:
             break
     good = clear(corners) & (
@@ -208,27 +230,27 @@ def _measured(samples: MaskedImage, lattice: TagLattice, seen: _TagCorners, side
     )
     if good.sum() < MIN_CORNERS:
         return BoardDetection.nothing(f"only {int(good.sum())} usable tag corners", refused=seen.grid)
-    ids = lattice.ids[known][good]
+    ids = lattice.ids[found][good]
     order = np.argsort(ids)
     return BoardDetection(
         ids=ids[order],
         pixels=corners.pixels[good][order],
         covariance=corners.covariance[good][order],
-        refused=seen.grid[known][~good],
+        refused=seen.grid[found][~good],
     )
 
 
-def _unseen(gray: Array, board: Board, lattice: TagLattice) -> BoardDetection:
+def _explain_absence(gray: Array, board: Board, lattice: TagLattice) -> BoardDetection:
     """Return why the tags of a board are not found: there are none, others, or only their mirror images."""
     codes = codes_of(str(board.dictionary))
-    own = np.arange(len(codes))[board.first_marker :][: lattice.count]
-    for outlines in islice(quadrilaterals(gray), COPIES):
-        for corners, what in ((outlines.corners, "tags"), (outlines.corners[:, ::-1], "mirror images of tags")):
+    expected = np.arange(len(codes))[board.first_marker :][: lattice.count]
+    for clockwise, _ in islice(quadrilaterals(gray), COPIES):
+        for corners, what in ((clockwise, "tags"), (clockwise[:, ::-1], "mirror images of tags")):
             ids, places = read_tags(gray, corners, codes)
             if len(ids):
                 seen = f"{what} {', '.join(map(str, ids[:SHOWN]))} visible"
-                ours = np.isin(ids, own).any()
-                reason = f"{seen}, not as on this board" if ours else f"{seen}; this board has {own[0]} to {own[-1]}"
+                other = f"{seen}; this board has {expected[0]} to {expected[-1]}"
+                reason = f"{seen}, not as on this board" if np.isin(ids, expected).any() else other
                 return BoardDetection.nothing(reason, refused=places)
     return BoardDetection.nothing(f"no tag of {board.dictionary} with a black border of {TAG_BORDER} cells found")
 
@@ -242,19 +264,13 @@ def tag_cells(lattice: TagLattice, grid: Array, predicted: Predicted, side: int)
 
     predicted: where the neighbours put all corners. side: cells across a tag, its border included.
     """
-    known = ~np.isnan(grid[..., 0])
-    row, column = np.nonzero(known)
+    present = ~np.isnan(grid[..., 0])
+    row, column = np.nonzero(present)
     after = 1 - np.stack([column, row], axis=1) % 2  # 1 where the tag lies behind the corner along an edge
     reach, in_tag = tag_reach(after, lattice.gap)
-    beside = _beside(lattice, np.where(known[..., None], grid, predicted.places), predicted.steps)
+    beside = _beside(lattice, np.where(present[..., None], grid, predicted.places), predicted.steps)
     depth = np.where(in_tag, TAG_BORDER / side, 1.0)
-    return Cells(predicted.steps[known], _bends(lattice, grid), reach, depth, beside.take(np.flatnonzero(known)))
-
-
-def uncrowded(cells: Cells) -> Cells:
-    """Return the same cells without the edges beside them: as deep as they go in an image that is sharp enough."""
-    depth = np.minimum(cells.depth, cells.reach.min(axis=(1, 2))[:, None, None])
-    return replace(cells, depth=depth, beside=None)
+    return Cells(predicted.steps[present], _bends(lattice, grid), reach, depth, beside.take(np.flatnonzero(present)))
 
 
 def _bends(lattice: TagLattice, grid: Array) -> Array:
@@ -262,11 +278,12 @@ def _bends(lattice: TagLattice, grid: Array) -> Array:
 
     What bends lines is smooth and corners are not exact: a polynomial in x and y says where those around a corner are.
     """
-    known = ~np.isnan(grid[..., 0])
-    nodes, pixels = lattice.nodes[known], grid[known]
-    powers = _powers(len(nodes))
-    if not len(powers):
+    present = ~np.isnan(grid[..., 0])
+    nodes, pixels = lattice.nodes[present], grid[present]
+    degree = next((degree for degree in (3, 2) if _SPARE * (degree + 1) * (degree + 2) / 2 <= len(nodes)), None)
+    if degree is None:
         return np.zeros_like(pixels)
+    powers = np.array([(i, j) for i in range(degree + 1) for j in range(degree + 1 - i)])
     away = nodes - nodes[:, None]
     nearest = np.argsort((away**2).sum(axis=2), axis=1, kind="stable")[:, :_AROUND]
     away = np.take_along_axis(away, nearest[..., None], axis=1)
@@ -278,12 +295,6 @@ def _bends(lattice: TagLattice, grid: Array) -> Array:
         across = slope[:, 0] * bend[:, 1] - slope[:, 1] * bend[:, 0]
         bends.append(2 * across / np.maximum(np.hypot(*slope.T), 1e-9) ** 3)
     return np.stack(bends, axis=1)
-
-
-def _powers(count: int) -> Array:
-    """Return the powers (K, 2) of x and y in the polynomial through so many corners, none if they are too few."""
-    degree = next((degree for degree in (3, 2) if _SPARE * (degree + 1) * (degree + 2) / 2 <= count), -1)
-    return np.array([(i, j) for i in range(degree + 1) for j in range(degree + 1 - i)])
 
 
 def _beside(lattice: TagLattice, places: Array, steps: Array) -> Beside:

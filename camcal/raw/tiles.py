@@ -1,21 +1,151 @@
-"""A Bayer mosaic as tiles for filters that work on half-size planes, and the colour image they leave.
+"""A Bayer mosaic as tiles of half-size planes for filters, and the colour image they leave.
 
-Filters compare neighbours on a scale of 0 … 255; here is the way there from counts, and back.
+Every plane of a tile is one contiguous row of numbers with room on both ends: the plane seen one pixel to the right, or
+one row further down, is a slice of it. NumPy and OpenCV work on such slices several times faster than on shifted 2-D
+views. What runs over the end of a row lands in the halo of the tile, which is cut off in the end. Filters compare
+neighbours on a scale of 0 … 255; here is the way there from counts, and back.
 """
 
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 
 from camcal.arrays import Array
 from camcal.raw.mosaic import sites
-from camcal.raw.planes import HERE, Each, Plane, Tile, interleave
+
+Each = Callable[[Callable[[Any], None], Iterable[Any]], None]
+
+HERE = (0, 0)
+_FARTHEST = 3  # rows that a shifted view may look up or down
+_STEP = 32  # rows of a plane are multiples of it: no vector of numbers is cut, so that every tile rounds alike
+
+
+def one_by_one(work: Callable[[Any], None], items: Iterable[Any]) -> None:
+    """Do the work for each item in this thread; what a caller with more threads replaces."""
+    for item in items:
+        work(item)
+
+
+class Plane:
+    """One plane (rows, columns) of a tile, float32. plane[dy, dx] is what every pixel sees that far down and right.
+
+    A shifted view is (1, rows * columns); where it crosses the end of a row it holds the next row's pixels.
+    """
+
+    def __init__(self, rows: int, columns: int) -> None:
+        self._columns, self._count = columns, rows * columns
+        self._margin = _FARTHEST * (columns + 1)
+        self._flat = np.zeros((1, self._count + 2 * self._margin), np.float32)
+        self._views: dict[tuple[int, int], Array] = {}
+        self.image = self[HERE].reshape(rows, columns)
+
+    def __getitem__(self, shift: tuple[int, int]) -> Array:
+        view = self._views.get(shift)
+        if view is None:
+            start = self._margin + shift[0] * self._columns + shift[1]
+            view = self._views[shift] = self._flat[:, start : start + self._count]
+        return view
+
+    def fill(self, values: Array) -> None:
+        """Take values (rows, up to columns); beyond them stands zero, not what another tile left."""
+        columns = values.shape[1]
+        self.image[:, :columns] = values
+        self.image[:, columns:] = 0
+
+
+class Tile:
+    """The planes that the filters work with on one tile, used again and again, the latest first: it is in the cache."""
+
+    def __init__(self, rows: int, columns: int) -> None:
+        """Make room for planes that hold a tile of at least rows x columns, both even."""
+        self.rows, self.columns = rows, -(-columns // _STEP) * _STEP
+        self._free: list[Plane] = []
+        self._coarse: list[Array] = []
+
+    def take(self) -> Plane:
+        """Return a plane; its content is left from its last use."""
+        return self._free.pop() if self._free else Plane(self.rows, self.columns)
+
+    def give_back(self, *planes: Plane) -> None:
+        self._free.extend(planes)
+
+    def fits(self, rows: int, columns: int) -> bool:
+        """Return whether planes of this size are no larger than they have to be."""
+        return rows == self.rows and 0 <= self.columns - columns < _STEP
+
+    def mean(self, plane: Plane, taps: Array, plus: float = 0.0) -> Array:
+        """Return weighted means over windows at half the plane's size, plus a number; a tap covers 2 × 2 pixels."""
+        shape = self.rows // 2, self.columns // 2
+        result = self._coarse.pop() if self._coarse else np.zeros(shape, np.float32)
+        cv2.resize(plane.image, shape[::-1], dst=result, interpolation=cv2.INTER_AREA)
+        cv2.sepFilter2D(result, -1, taps, taps, result, delta=plus)
+        return result
+
+    def spread(self, means: Array, out: Plane) -> None:
+        """Write means at the plane's own size, interpolated linearly, and take their memory back."""
+        cv2.resize(means, (self.columns, self.rows), dst=out.image, interpolation=cv2.INTER_LINEAR)
+        self._coarse.append(means)
+
+    def forget(self, means: Array) -> None:
+        """Take the memory of means back."""
+        self._coarse.append(means)
+
+
+def weighted(a: Array, alpha: float, b: Array, beta: float, out: Array, plus: float = 0.0) -> None:
+    """Write alpha a + beta b + plus."""
+    cv2.addWeighted(a, alpha, b, beta, plus, out)
+
+
+def plus_scaled(a: Array, b: Array, beta: float, out: Array) -> None:
+    """Write a + beta b."""
+    cv2.scaleAdd(b, beta, a, out)
+
+
+def add_product(a: Array, b: Array, out: Array) -> None:
+    """Add a b to what is there."""
+    cv2.accumulateProduct(a, b, out)
+
+
+def blended(a: Array, b: Array, weight_a: Array, weight_b: Array, out: Array) -> None:
+    """Write the weighted mean of a and b; the weights must be large against 1e-5, which OpenCV adds to their sum."""
+    cv2.blendLinear(a, b, weight_a, weight_b, out)
+
+
+def difference(a: Array, b: Array, out: Array) -> None:
+    """Write |a - b|."""
+    cv2.absdiff(a, b, out)
+
+
+def filtered(source: Plane, taps: Array, out: Plane, plus: float = 0.0) -> None:
+    """Write the plane filtered with the same taps along rows and columns."""
+    cv2.sepFilter2D(source.image, -1, taps, taps, out.image, delta=plus)
+
+
+def interleave(parts: list[Array], factors: list[float], highest: float, out: Array) -> None:
+    """Write six parts (rows, columns), each times its factor, as the three colours of two neighbouring pixels.
+
+    out: (rows, 2 * columns, 3); integers are rounded and begin at 0. Nothing is above `highest`.
+    """
+    if out.dtype == np.float32:
+        parts = [np.minimum(part * np.float32(f), np.float32(highest)) for part, f in zip(parts, factors, strict=True)]
+    else:
+        parts = [rounded(part, factor, out.dtype) for part, factor in zip(parts, factors, strict=True)]
+        if highest < np.iinfo(out.dtype).max:
+            parts = [np.minimum(part, out.dtype.type(highest)) for part in parts]
+    cv2.merge(parts, out.reshape(*parts[0].shape, 6))
+
+
+def rounded(values: Array, factor: float, dtype: np.dtype[Any]) -> Array:
+    """Return values, times a factor, as uint8 or uint16; what these cannot hold becomes the nearest they can."""
+    # The fastest of OpenCV's functions that convert, round and saturate.
+    return cv2.addWeighted(values, factor, values, 0, 0, dtype=cv2.CV_8U if dtype == np.uint8 else cv2.CV_16U)
+
 
 TILE = (256, 256)  # cells; the fewer, the more of the work is margin; the more, the less stays in the cache
 PLACES = "RGGB"  # the four places of a cell, as tiles count cells
@@ -28,61 +158,38 @@ _SAMPLED_ROWS = 256
 _STRONGEST_BALANCE = 16.0
 
 
-class Scale(Protocol):
-    """How counts of a colour ("R", "G" or "B") become the filters' numbers, and back.
+@dataclass(frozen=True)
+class Scale:
+    """How counts of a colour ("R", "G" or "B") become the filters' numbers, and back: proportionally.
 
-    `undo` leaves numbers, in place, that are counts after a multiplication with `factor`.
+    white: counts at saturation. highest: the number that they become; by default counts stay as they are, which linear
+    filters take. Gamma-encoded images have the scale that the other filters were made for.
     """
 
-    @property
-    def white(self) -> float: ...
-    def apply(self, values: Array, colour: str) -> None: ...
-    def undo(self, plane: Plane, scratch: Plane) -> None: ...
-    def factor(self, colour: str) -> float: ...
-
-
-@dataclass(frozen=True)
-class Proportional:
-    """Numbers proportional to the counts: gamma-encoded images have the scale that filters were made for."""
-
     white: float
+    highest: float | None = None
 
     def apply(self, values: Array, colour: str) -> None:  # noqa: ARG002
-        values *= np.float32(WHITE / self.white)
+        """Make numbers of counts, in place."""
+        if self.highest is not None:
+            values *= np.float32(self.highest / self.white)
 
     def undo(self, plane: Plane, scratch: Plane) -> None:
-        pass
+        """Leave numbers, in place, that are counts after a multiplication with `factor`."""
 
     def factor(self, colour: str) -> float:  # noqa: ARG002
-        return self.white / WHITE
+        return 1.0 if self.highest is None else self.white / self.highest
 
 
 @dataclass(frozen=True)
-class Counts:
-    """The counts themselves, for linear filters."""
-
-    white: float
-
-    def apply(self, values: Array, colour: str) -> None:
-        pass
-
-    def undo(self, plane: Plane, scratch: Plane) -> None:
-        pass
-
-    def factor(self, colour: str) -> float:  # noqa: ARG002
-        return 1.0
-
-
-@dataclass(frozen=True)
-class Root:
-    """Square roots of linear light, the detail of the three colours made equally strong.
+class Root(Scale):
+    """Square roots of linear light, the detail of the three colours made equally strong by their gains.
 
     There photon noise has the same strength everywhere, and what demosaicing assumes, that colours vary together and
     differ smoothly, is much more nearly true than in linear light. Every sample comes back as it was.
     """
 
-    white: float
-    gains: dict[str, float]
+    gains: Mapping[str, float] = field(default_factory=dict)
 
     def apply(self, values: Array, colour: str) -> None:
         values *= np.float32(self.gains[colour] / self.white)
@@ -103,27 +210,24 @@ class Root:
         return self.white / self.gains[colour] / _ROOT_SCALE**2
 
 
-def scale_of(values: Array, pattern: str, white: float, *, linear: bool) -> Scale:
-    """Return the scale for a Bayer mosaic (H, W) of counts, linear in light or gamma-encoded."""
-    return Root(white, _detail_balance(values, pattern)) if linear else Proportional(white)
-
-
-def _detail_balance(values: Array, pattern: str) -> dict[str, float]:
-    """Return gains that make the detail of red and blue as strong as that of green.
+def detail_balance(values: Array, pattern: str) -> dict[str, float]:
+    """Return gains that make the detail of red and blue of a Bayer mosaic (H, W) as strong as that of green.
 
     Detail is the mean second difference along rows, of some hundred rows.
     """
-    strength = {colour: float(np.mean([_detail(values[site]) for site in sites(pattern, colour)])) for colour in "RGB"}
+    strength = {}
+    for colour in "RGB":
+        details = []
+        for site in sites(pattern, colour):
+            samples = values[site]
+            rows = samples[:: max(1, len(samples) // _SAMPLED_ROWS)].astype(np.float32)
+            curves = np.abs(rows[:, :-2] - 2 * rows[:, 1:-1] + rows[:, 2:])
+            details.append(float(curves.mean()) if curves.size else 0.0)
+        strength[colour] = float(np.mean(details))
     if min(strength.values()) <= 0:
         return dict.fromkeys("RGB", 1.0)
     gains = {colour: strength["G"] / strength[colour] for colour in "RGB"}
     return {colour: float(np.clip(gain, 1 / _STRONGEST_BALANCE, _STRONGEST_BALANCE)) for colour, gain in gains.items()}
-
-
-def _detail(samples: Array) -> float:
-    rows = samples[:: max(1, len(samples) // _SAMPLED_ROWS)].astype(np.float32)
-    curves = np.abs(rows[:, :-2] - 2 * rows[:, 1:-1] + rows[:, 2:])
-    return float(curves.mean()) if curves.size else 0.0
 
 
 class Box(NamedTuple):
@@ -182,12 +286,12 @@ class TiledMosaic:
         rows, columns = ((length + first + 1) // 2 for length, first in zip(values.shape, self._offset, strict=True))
         self.cells = Box(0, 0, rows + rows % 2, columns + columns % 2)
         self._margin, self._scale = margin, scale
-        self._source = self._mirrored(values)
+        self._source = self._mirror(values)
         self._numbers = np.empty((4, len(self._source) // 2, self._source.shape[1] // 2), np.float32)
         self._colour = np.empty((2 * self.cells.rows, 2 * self.cells.columns, 3), values.dtype)
         self._spare: deque[Tile] = deque()
 
-    def _mirrored(self, values: Array) -> Array:
+    def _mirror(self, values: Array) -> Array:
         """Return the mosaic, continued about its border pixels: that keeps the colours in their places."""
         (down, right), (height, width) = self._offset, values.shape
         margin = 2 * self._margin
@@ -278,14 +382,13 @@ class TiledMosaic:
 
 def boxes(whole: Box, most: tuple[int, int]) -> list[Box]:
     """Return the tiles of a frame, nearly of the same size each, of at most these rows and columns; all are even."""
-    rows, columns = (_starts(length, limit) for length, limit in zip(whole[2:], most, strict=True))
+    counts = [-(-length // limit) for length, limit in zip(whole[2:], most, strict=True)]
+    rows, columns = (
+        [2 * round(length / 2 * index / count) for index in range(count + 1)]
+        for length, count in zip(whole[2:], counts, strict=True)
+    )
     return [
         Box(top, left, bottom - top, right - left)
         for top, bottom in pairwise(rows)
         for left, right in pairwise(columns)
     ]
-
-
-def _starts(length: int, most: int) -> list[int]:
-    count = -(-length // most)
-    return [2 * round(length / 2 * index / count) for index in range(count + 1)]

@@ -25,7 +25,7 @@ from camcal.solve.least_squares import Solution, minimise
 from camcal.solve.losses import Huber
 from camcal.solve.steps import Block, Jacobian, SingularError, Step
 from camcal.targets.board_map import apply_homography
-from camcal.targets.markers.families import MarkerDrawing
+from camcal.targets.pattern import MarkerDrawing
 
 BENDS = 6
 CORNERS = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])  # clockwise from the top-left
@@ -329,19 +329,14 @@ def _variance(residuals: Array) -> float:
 def _result(problem: _MarkerProblem, solution: Solution[Array], middle: Array) -> MarkerFit:
     residuals = problem.evaluated(solution.state)[0]
     corners = straight(solution.state[_ENTRIES], CORNERS)
+    plane = problem.window.light[:, :3]  # about which the variation is explained
+    flat = problem.window.values - plane @ _combination(plane, problem.window.values)
+    rounding = _ROUNDING * len(flat)
     covariance = solution.factors().shared_covariance()[_ENTRIES, _ENTRIES] * (_variance(residuals) / problem.variance)
     return MarkerFit(
         corners.pixels + middle,
         corners.by_entries @ covariance @ corners.by_entries.swapaxes(1, 2) + _LEFT_OUT_PX**2 * np.eye(2),
-        _agreement(problem.window, residuals),
+        1 - float((residuals @ residuals + rounding) / (flat @ flat + rounding)),
         solution.converged,
         solution.iterations,
     )
-
-
-def _agreement(window: Window, residuals: Array) -> float:
-    """Return the share of the variation about a plane that is explained."""
-    plane = window.light[:, :3]
-    flat = window.values - plane @ _combination(plane, window.values)
-    rounding = _ROUNDING * len(flat)
-    return 1 - float((residuals @ residuals + rounding) / (flat @ flat + rounding))
