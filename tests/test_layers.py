@@ -52,7 +52,7 @@ OPENCV_EDGES = {
     "report/stereo_pictures.py",
     "report/overlays.py",
     "report/page/thumbnails.py",
-    "run/fanout.py",
+    "run/process.py",
     "stereo/matching/filling.py",
     "stereo/matching/learned.py",
     "stereo/matching/match.py",

@@ -16,7 +16,7 @@ from camcal.tasks.calibration.undistort_options import UndistortOptions
 if TYPE_CHECKING:
     from camcal.calibrate.intrinsics import RejectedCorner
     from camcal.tasks.calibration.board_sheet import BoardSheet
-    from camcal.tasks.calibration.calibrate import CalibrateReport
+    from camcal.tasks.calibration.camera_result import CalibrateReport
     from camcal.tasks.calibration.detect import DetectReport
     from camcal.tasks.calibration.undistort import PointsReport, UndistortReport
     from camcal.tasks.calibration.video_frames import FrameRecord

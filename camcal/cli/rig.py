@@ -11,7 +11,7 @@ from camcal.progress import Progress
 from camcal.tasks.rigs.options import RigSettings, RigTaskOptions, StereoCalibrateOptions
 
 if TYPE_CHECKING:
-    from camcal.tasks.rigs.calibrate_rig import RigReport
+    from camcal.tasks.rigs.rig_result import RigReport
 
 CAMERAS_DRAWN = 4
 

@@ -8,7 +8,8 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.cameras import panoramic
 from camcal.cameras.catalogue import model_named
-from camcal.cameras.model import Camera, CameraModel
+from camcal.cameras.lens import CameraModel
+from camcal.cameras.model import Camera
 from camcal.cameras.validity import ImageCircle, rim
 from camcal.errors import InvalidInput
 from camcal.images.options import PINHOLE, WIDEST_PINHOLE_DEG, ViewOptions, refuse_pinhole, widest_deg

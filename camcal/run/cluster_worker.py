@@ -24,7 +24,7 @@ from camcal.errors import CamcalError, FileError, InvalidInput, ItemsFailed
 from camcal.images import limits
 from camcal.progress import Item, Outcome, Value
 from camcal.run import fingerprint
-from camcal.run.fanout import one_opencv_thread
+from camcal.run.process import one_opencv_thread
 from camcal.run.workers import attempt, item_name
 
 Answer = tuple[Value | None, CamcalError | None] | None

@@ -21,9 +21,9 @@ import pytest
 from camcal.errors import FileError, InvalidInput, ItemsFailed
 from camcal.messages import Message
 from camcal.progress import Outcome
-from camcal.run.fanout import fan_out, over_threads
+from camcal.run.fanout import fan_out
 from camcal.run.options import BatchOptions
-from camcal.run.process import available_cores
+from camcal.run.process import available_cores, over_threads
 
 WAYS = [
     pytest.param({"jobs": 1}, id="inline"),

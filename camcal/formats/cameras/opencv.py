@@ -16,7 +16,8 @@ import numpy as np
 from camcal import files
 from camcal.cameras.catalogue import MODELS as LENSES
 from camcal.cameras.catalogue import model_named
-from camcal.cameras.model import OPENCV, Camera
+from camcal.cameras.lens import OPENCV
+from camcal.cameras.model import Camera
 from camcal.errors import InvalidInput
 from camcal.formats.camera_file import CameraEntry, CameraFile, Transform, pose_between
 from camcal.formats.cameras import file_storage

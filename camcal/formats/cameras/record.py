@@ -8,7 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from camcal.cameras.catalogue import MODELS
-from camcal.cameras.model import FISHEYE, OPENCV, Camera
+from camcal.cameras.lens import FISHEYE, OPENCV
+from camcal.cameras.model import Camera
 from camcal.errors import InvalidInput
 from camcal.formats.camera_file import CameraFile
 

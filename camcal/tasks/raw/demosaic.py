@@ -32,9 +32,9 @@ from camcal.raw.options import BARE_SUFFIXES, GRAY_WORLD, HEADERLESS_SUFFIXES, N
 from camcal.raw.planes import Each, one_by_one
 from camcal.raw.reading import missing_pattern
 from camcal.run import fingerprint
-from camcal.run.fanout import over_threads
 from camcal.run.outputs import claim, writes
 from camcal.run.paths import find_images, place
+from camcal.run.process import over_threads
 from camcal.run.resume import Items, resumable
 from camcal.tasks.raw.options import DemosaicOptions
 from camcal.tasks.raw.raw_corrections import load_corrections, read_frame

@@ -14,7 +14,7 @@ from camcal.report.page.record import Page, rendered
 from camcal.report.page.thumbnails import views_of, worst_first
 from camcal.report.page.verdict import shown_messages
 from camcal.tasks.calibration.board_views import BoardViews
-from camcal.tasks.calibration.calibrate import CalibrateReport
+from camcal.tasks.calibration.camera_result import CalibrateReport
 from camcal.tasks.calibration.options import CalibrateOptions
 from camcal.tasks.reports.carried import blocks, candidates_data, messages_data, run_of
 from camcal.tasks.reports.closing import closing_sections, images_of, made, photographs, result_text

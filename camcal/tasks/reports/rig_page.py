@@ -18,9 +18,9 @@ from camcal.report.page.verdict import shown_messages
 from camcal.targets.detection import Detections
 from camcal.tasks.reports.carried import blocks, candidates_data, messages_data, run_of
 from camcal.tasks.reports.closing import closing_sections, images_of, made, photographs, result_text
-from camcal.tasks.rigs.calibrate_rig import RigReport
 from camcal.tasks.rigs.inspect_rig import inspect_rig
 from camcal.tasks.rigs.options import RigSettings
+from camcal.tasks.rigs.rig_result import RigReport
 from camcal.tasks.rigs.rig_views import RigViews
 
 RIG_NAME = "rig.yaml"  # of the file that a rerun writes
