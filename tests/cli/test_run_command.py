@@ -12,7 +12,7 @@ from command_page import REGISTERED
 
 from camcal import urls
 from camcal.cli.call import ImageCall
-from camcal.cli.steps import StepCommands
+from camcal.cli.pipeline import StepCommands
 from camcal.options import declared
 from camcal.run.fingerprint import counts
 from camcal.tasks.pipelines.reading import KEYS, NOT_STEPS, OF_ALL_STEPS, STEP_KEYS

@@ -358,7 +358,8 @@ LIMITED = """
 import sys, threading
 sys.path.insert(0, sys.argv[1])
 import fanout_work as work
-from camcal.run.fanout import fan_out, over_threads
+from camcal.run.fanout import fan_out
+from camcal.run.process import over_threads
 threading.stack_size(1 << 46)  # no thread can start: there is no room for what it asks for
 for way in ({}, {"processes": True}):
     print([outcome.value for outcome in fan_out(work.doubled, range(4), jobs=2, **way)])

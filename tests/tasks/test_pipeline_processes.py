@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from camcal import urls
-from camcal.cli.steps import StepCommands, perform
+from camcal.cli.pipeline import StepCommands, perform
 from camcal.errors import FileError
 from camcal.progress import SILENT
 from camcal.run.options import BatchOptions
