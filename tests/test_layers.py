@@ -17,8 +17,7 @@ PACKAGE = Path(camcal.__file__).parent
 
 # From left to right; packages that share a place may not import each other.
 LAYERS = (
-    {"errors", "messages", "arrays", "brief", "parsing", "options", "progress", "system", "folders", "files", "opencv"}
-    | {"urls"},
+    {"errors", "messages", "arrays", "brief", "parsing", "options", "progress", "system", "files", "opencv"} | {"urls"},
     {"geometry", "solve", "optics"},
     {"cameras"},
     {"images", "targets", "estimate"},

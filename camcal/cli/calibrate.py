@@ -62,8 +62,8 @@ def _calibrate(options: CalibrateOptions, call: ImageCall) -> None:
 def _show_calibration(report: "CalibrateReport", options: CalibrateOptions, verbose: bool) -> None:
     from camcal.formats.camera_file import ProjectionStd
     from camcal.report.calibration import CANDIDATE_COLUMNS, candidate_rows, headline, parameter_rows, summary
+    from camcal.report.table import projection_words, region_words
     from camcal.report.text_figures import calibration_figures, coverage_words, residual_words
-    from camcal.report.uncertain import projection_words, region_words
 
     calibration, circle = report.calibration, next(iter(report.file.cameras.values())).image_circle
     if report.frames and verbose:
@@ -94,7 +94,7 @@ def _show_calibration(report: "CalibrateReport", options: CalibrateOptions, verb
 
 
 def _show_channels(report: "CalibrateReport") -> None:
-    from camcal.report.uncertain import value_and_std
+    from camcal.report.table import value_and_std
 
     if not report.channels:
         return
@@ -299,8 +299,8 @@ def _finish_rig(report: "RigReport", settings: RigSettings, call: ImageCall) -> 
 def _show_rig(report: "RigReport", settings: RigSettings, verbose: bool) -> None:
     from camcal.report.calibration import CANDIDATE_COLUMNS, candidate_rows, parameter_rows
     from camcal.report.rig import CAMERA_COLUMNS, TRANSFORM_COLUMNS, camera_rows, lines, transform_rows
+    from camcal.report.table import region_words
     from camcal.report.text_figures import calibration_figures, coverage_words, residual_words
-    from camcal.report.uncertain import region_words
 
     calibration = report.calibration
     regions = {name: result.assessment.region for name, result in report.cameras.items()}

@@ -186,7 +186,7 @@ class _Maker:
 
     def start(self, values: Mapping[Declared, Any], config: Path | None) -> None:
         """Call the function with the records that these values make, after reading `config`."""
-        from camcal.run.option_paths import outputs_of
+        from camcal.run.options import outputs_of
         from camcal.run.outputs import watching
 
         record = self.records[0]
@@ -206,7 +206,7 @@ class _Maker:
 
     def write(self, values: Mapping[Declared, Any], path: Path) -> None:
         """Write these values as a settings file, over none of the inputs that they name."""
-        from camcal.run.option_paths import inputs_of
+        from camcal.run.options import inputs_of
         from camcal.run.outputs import watching
         from camcal.run.settings import write_settings
 

@@ -100,7 +100,7 @@ def _inspect_camera(options: InspectOptions, call: ImageCall) -> None:
 
 
 def _show(inspection: "Inspection", options: InspectOptions, verbose: bool) -> None:
-    from camcal.report.uncertain import region_words
+    from camcal.report.table import region_words
     from camcal.tasks.calibration.inspect import camera_lines, file_lines, image_rows, parameter_rows
 
     for name, field in inspection.fields.items():

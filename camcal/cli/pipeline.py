@@ -17,9 +17,8 @@ from camcal.errors import EXIT_BUG, ItemsFailed, translated
 from camcal.messages import Message
 from camcal.options import declared
 from camcal.progress import SILENT, Progress
-from camcal.tasks.pipelines.options import PipelineOptions
 from camcal.tasks.pipelines.reading import NOT_STEPS
-from camcal.tasks.pipelines.step import StepError, StepJob, StepResult, below_here, figures_of
+from camcal.tasks.pipelines.step import PipelineOptions, StepError, StepJob, StepResult, below_here, figures_of
 
 if TYPE_CHECKING:
     from camcal.tasks.pipelines.run_pipeline import PipelineReport, StepReport
@@ -170,7 +169,7 @@ def _tell(each: "StepReport", *, call: ImageCall) -> None:
 
 
 def _show(report: "PipelineReport", options: PipelineOptions, verbose: bool) -> None:
-    from camcal.report.letters import value_histogram
+    from camcal.report.text_figures import value_histogram
     from camcal.tasks.pipelines import summary
 
     if options.dry_run:

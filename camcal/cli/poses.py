@@ -57,29 +57,29 @@ def _pnp(options: PnpOptions, call: ImageCall) -> None:
 
 
 def _show_poses(report: "PnpReport", options: PnpOptions, *, verbose: bool) -> None:
-    from camcal.report import pose_words
+    from camcal.report import track_words
 
     for line in report.lines:
         show.text(line)
     poses = report.poses
-    rows = [pose_words.row(poses, pose_key, record) for pose_key, record in poses.estimates.items()]
-    show.table(poses.frames, pose_words.columns(poses), rows, verbose=verbose, most=show.LISTED)
+    rows = [track_words.row(poses, pose_key, record) for pose_key, record in poses.estimates.items()]
+    show.table(poses.frames, track_words.columns(poses), rows, verbose=verbose, most=show.LISTED)
     if options.all_solutions:
         _show_alternatives(report, verbose)
-    show.text(pose_words.noise(poses))
+    show.text(track_words.noise(poses))
     show.lines([f"no pose: {pose_key}: {reason}" for pose_key, reason in poses.missing.items()], verbose)
     show.wrote(options.output, show.several(report.pictures, "picture"))
 
 
 def _show_alternatives(report: "PnpReport", verbose: bool) -> None:
-    from camcal.report import pose_words
+    from camcal.report import track_words
 
     poses = report.poses
-    rows = [row for item in poses.estimates.items() for row in pose_words.alternative_rows(poses, *item)]
+    rows = [row for item in poses.estimates.items() for row in track_words.alternative_rows(poses, *item)]
     if not rows:
         show.text("no alternative poses")
         return
-    columns = pose_words.alternative_columns(poses)
+    columns = track_words.alternative_columns(poses)
     show.table("other poses", columns, rows, verbose=verbose, most=show.LISTED)
 
 
@@ -221,7 +221,7 @@ def _show_comparison(report: "FitReport") -> None:
 
 
 def _cells(estimate: "Estimate") -> list[object]:
-    from camcal.report.uncertain import value_and_std
+    from camcal.report.table import value_and_std
 
     value, std = value_and_std(estimate.value, estimate.std)
     return [value, std or "-", *_ends(estimate.interval or (None, None), estimate.std), estimate.held or ""]
@@ -229,6 +229,6 @@ def _cells(estimate: "Estimate") -> list[object]:
 
 def _ends(ends: "tuple[End, End]", std: float | None) -> list[str | None]:
     """Return the ends of an interval to the place where the value is known."""
-    from camcal.report.uncertain import value_and_std
+    from camcal.report.table import value_and_std
 
     return [None if end is None else value_and_std(end, std)[0] for end in ends]

@@ -11,7 +11,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextvars import copy_context
 from dataclasses import replace
 
-from camcal import folders
+from camcal import system
 from camcal.errors import InvalidInput
 from camcal.messages import Message
 from camcal.progress import SILENT, Item, Outcome, Progress, Value
@@ -46,7 +46,7 @@ def fan_out(
     crashes costs its item only (ItemsFailed) and is replaced.
     timeout: seconds for one item of several; one that takes longer is stopped with its worker, which takes a process.
     OpenCV and BLAS have one thread per worker, so that results do not depend on `jobs`.
-    Raises InvalidInput if jobs is less than 1, FileError if a folder that is written into was replaced (`folders`).
+    Raises InvalidInput if jobs is less than 1, FileError if a folder that is written into was replaced (`system`).
     """
     if jobs is not None and jobs < 1:
         raise InvalidInput(f"{jobs} jobs, need at least 1", where="jobs")
@@ -100,7 +100,7 @@ def _report(
             done += 1
             progress.advance()
             if outcome.error is not None:
-                folders.require_all_same()  # what fails for that would fail for all that follow
+                system.require_all_same()  # what fails for that would fail for all that follow
             yield outcome
     finally:
         outcomes.close()

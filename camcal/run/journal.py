@@ -17,16 +17,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Generic
 
-from camcal import files, folders, urls
+from camcal import files, system, urls
 from camcal.errors import CamcalError, FileError, reason
 from camcal.options import declared
 from camcal.parsing import in_one_line
 from camcal.progress import SILENT, Item, Outcome, Progress, Value, values_of
-from camcal.run import fingerprint, manifest, records
+from camcal.run import fingerprint, manifest
 from camcal.run.fanout import fan_out
 from camcal.run.manifest import Entry
-from camcal.run.option_paths import inputs_of, outputs_of
-from camcal.run.options import DEFAULT_BATCH, BatchOptions
+from camcal.run.options import DEFAULT_BATCH, BatchOptions, inputs_of, outputs_of
 from camcal.run.outputs import Run, listed
 from camcal.run.resume import MadeItem, made_from, remembering
 
@@ -58,7 +57,7 @@ class Journal:
         """Add a line; raises FileError if it cannot be written."""
         line = f"{fingerprint}\t{urls.named(json.dumps(data, separators=(',', ':')))}\n"
         try:
-            folders.prepare(self.path.parent)
+            system.prepare(self.path.parent)
             urls.append(self.path, f"\n{line}".encode())  # after what a killed run or a full disk left of a line
         except OSError as error:
             raise FileError(f"cannot be written: {reason(error)}", where=str(self.path)) from error
@@ -71,7 +70,7 @@ class Journal:
     def remove(self) -> None:
         """Remove the file, if there is one."""
         with suppress(OSError, FileError):  # of a folder that cannot be written; the next run is not worse off
-            folders.require_same(self.path.parent)
+            system.require_same(self.path.parent)
             urls.remove(self.path)
 
 
@@ -192,7 +191,7 @@ class _Journaled(Generic[Item, Value]):
         data = self.kept.known.get(fingerprint_now)
         if data is not None:
             with suppress(KeyError, IndexError, TypeError, ValueError, CamcalError):  # changed by hand
-                value = records.of_plain(self.found.result, json.loads(urls.standing(data)))
+                value = fingerprint.value_of_plain(self.found.result, json.loads(urls.standing(data)))
                 run = files.LEDGER.get()
                 if isinstance(run, Run):
                     run.found_before += 1
@@ -205,7 +204,7 @@ class _Journaled(Generic[Item, Value]):
     def record(self, item: Item, made: MadeItem[Value]) -> None:  # noqa: ARG002 - see `holds`
         """See `resume.Memory`."""
         with suppress(FileError):  # it would only be found again
-            self.kept.add(made.made_from, records.as_plain(made.value))
+            self.kept.add(made.made_from, fingerprint.as_plain(made.value))
 
 
 class Finished:

@@ -15,7 +15,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import NamedTuple
 
-from camcal import files, folders, system, urls
+from camcal import files, system, urls
 from camcal.errors import CamcalError, FileError, reason
 from camcal.parsing import in_one_line
 from camcal.run.process import over_threads
@@ -114,7 +114,7 @@ def unchanged(known: Sequence[tuple[Path, Entry]]) -> list[bool]:
 @contextmanager
 def _changing(folder: Path) -> Iterator[None]:
     try:
-        folders.prepare(folder)
+        system.prepare(folder)
         with system.locked(folder), files.unwatched():
             yield
     except OSError as error:

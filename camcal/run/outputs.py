@@ -23,12 +23,12 @@ from typing import Any, ParamSpec, TypeVar
 
 from camcal import files
 from camcal.errors import FileError, InvalidInput, reason
-from camcal.folders import KNOWN, OutputFolders, require_writable
 from camcal.options import Declared, declared
 from camcal.parsing import in_one_line
 from camcal.run import manifest
 from camcal.run.manifest import MANIFEST, Entry
-from camcal.run.option_paths import inputs_of, is_folder, outputs_of, refuse_one_place, require_folder
+from camcal.run.options import inputs_of, is_folder, outputs_of, refuse_one_place, require_folder
+from camcal.system import KNOWN, OutputFolders, require_writable
 
 _HEAD = 4096  # bytes in which a text says who wrote it
 _MARK = re.compile(rb'\A(?:%YAML[^\n]*\n---\n)?# (?:[^\n]*\b)?camcal\b|"(?:format|schema|tool)": "camcal\b')

@@ -19,7 +19,7 @@ from camcal import files
 from camcal.errors import FileError
 from camcal.files import Ledger
 from camcal.progress import SILENT, Item, Outcome, Progress, Value
-from camcal.run import fingerprint, manifest, records
+from camcal.run import fingerprint, manifest
 from camcal.run.fanout import fan_out, only_outcome
 from camcal.run.manifest import Entry
 from camcal.run.options import DEFAULT_BATCH, BatchOptions
@@ -268,7 +268,7 @@ class _Listed(Generic[Item, Value]):
             kept = json.loads(entry.result)
             known = [self.run.known(outputs[number]) for number in kept["files"]]
             if all(each is not None and each.made_from == entry.made_from for each in known):
-                value = records.of_plain(self.items.result, kept["value"], self.items.paths(item))
+                value = fingerprint.value_of_plain(self.items.result, kept["value"], self.items.paths(item))
                 return Outcome(item, value, reused=True)
         return None
 
@@ -290,7 +290,7 @@ class _Listed(Generic[Item, Value]):
         outputs = list(self.items.outputs(item))
         kept = {
             "files": [outputs.index(path) for path, _ in made.files],
-            "value": records.as_plain(made.value, self.items.paths(item)),
+            "value": fingerprint.as_plain(made.value, self.items.paths(item)),
         }
         folders: dict[Path, dict[str, Entry | None]] = {}
         for path, entry in made.files:

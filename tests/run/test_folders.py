@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from fanout_work import write_image
 
-from camcal import files, folders
+from camcal import files, system
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.errors import FileError
@@ -72,7 +72,7 @@ def test_worker_processes_write_nothing_into_a_folder_that_was_exchanged(folder)
     (folder / "foreign").mkdir()
     items = [Path("out") / f"{number}.png" for number in range(40)]
     with watching():
-        folders.prepare(Path("out"))
+        system.prepare(Path("out"))
         outcomes = fan_out(write_image, items, jobs=2, processes=True)
         next(outcomes)
         swap_for_link(Path("out"), folder / "foreign")

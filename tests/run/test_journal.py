@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from camcal.errors import FileError, InvalidInput
-from camcal.run import records
+from camcal.run import fingerprint
 from camcal.run.journal import Found, going_on, journal_beside, journaled, path_beside
 from camcal.run.options import DEFAULT_BATCH, BatchOptions
 from camcal.targets.board import Board
@@ -118,7 +118,7 @@ def test_records_of_detection_are_the_same_after_a_round_trip():
         colours={"red": BoardDetection("a.png", (640, 480), reason="dark")},
         time=0.25,
     )
-    back = records.of_plain(BoardDetection, records.as_plain(view))
+    back = fingerprint.value_of_plain(BoardDetection, fingerprint.as_plain(view))
     assert (back.other, back.time, back.colours["red"].reason, back.size) == (view.other, 0.25, "dark", (640, 480))
     assert np.array_equal(back.pixels, view.pixels)
     assert np.array_equal(back.covariance, view.covariance)

@@ -15,10 +15,21 @@ from camcal.quality.assess import Assessment
 from camcal.quality.projection_uncertainty import ProjectionUncertainty
 from camcal.report.calibration import CANDIDATE_COLUMNS, candidate_rows, parameter_rows, summary
 from camcal.report.figures.calibration import calibration_plots
-from camcal.report.page.record import DataBlock, Figure, Page, PageVerdict, Picture, Section, Table
+from camcal.report.page.record import (
+    DataBlock,
+    Figure,
+    Page,
+    PageVerdict,
+    Picture,
+    Section,
+    Table,
+    checks_table,
+    refusal,
+    sentence,
+    verdict,
+)
 from camcal.report.page.thumbnails import MOST, corner_thumbnail, photo_key, pictures, thumbnails
-from camcal.report.page.verdict import checks_table, refusal, sentence, verdict
-from camcal.report.uncertain import (
+from camcal.report.table import (
     held_by_prior_words,
     length_unit,
     number_text,

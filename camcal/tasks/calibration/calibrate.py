@@ -105,7 +105,7 @@ def calibrated(
     except (InsufficientData, NotConverged) as refusal:
         error = screenshots(seen, options, progress) or refusal
         if options.report is not None:
-            from camcal.tasks.reports.camera_page import write_refusal
+            from camcal.tasks.reports.pages import write_refusal
 
             write_refusal(options.report, seen, options, words, error)
         raise error from refusal.__cause__
@@ -137,7 +137,7 @@ def calibrated(
         figures=figures,
     )
     if options.report is not None:
-        from camcal.tasks.reports.camera_page import write
+        from camcal.tasks.reports.pages import write
 
         write(options.report, report, options, words)
     return report

@@ -27,7 +27,7 @@ from camcal.messages import Message, counted
 from camcal.quality.assess import Assessment
 from camcal.quality.projection_uncertainty import ProjectionUncertainty
 from camcal.report.calibration import headline, view_record
-from camcal.report.uncertain import projection_words, region_words
+from camcal.report.table import projection_words, region_words
 from camcal.targets.surface import Surface
 from camcal.tasks.calibration.board_views import BoardViews
 from camcal.tasks.calibration.corner_refinement import RefinementSummary

@@ -93,9 +93,9 @@ def _calibrate(seen: RigViews, settings: RigSettings, command: Sequence[str], pr
         calibration = _solve(seen, how, progress, "solving")
     except (InsufficientData, NotConverged) as error:
         if settings.report is not None:
-            from camcal.tasks.reports.rig_page import write_refusal
+            from camcal.tasks.reports.pages import write_rig_refusal
 
-            write_refusal(settings.report, seen, settings, command, error)
+            write_rig_refusal(settings.report, seen, settings, command, error)
         raise
     refinement: RefinementSummary | None = None
     found: tuple[Message, ...] = ()
@@ -126,9 +126,9 @@ def _calibrate(seen: RigViews, settings: RigSettings, command: Sequence[str], pr
         figures=figures,
     )
     if settings.report is not None:
-        from camcal.tasks.reports.rig_page import write
+        from camcal.tasks.reports.pages import write_rig
 
-        write(settings.report, report, settings, command)
+        write_rig(settings.report, report, settings, command)
     return report
 
 

@@ -24,9 +24,8 @@ from camcal.images.npy import names_in
 from camcal.images.save import save
 from camcal.progress import SILENT, Progress
 from camcal.report import cloud_view
-from camcal.report.cloud_scene import CloudScene, gather
+from camcal.report.cloud_scene import CloudScene, gather, turn, view_of
 from camcal.report.cloud_view import Start
-from camcal.report.cloud_views import turn, view_of
 from camcal.report.colour_scale import Paint, paint_of
 from camcal.run.outputs import writes
 from camcal.run.paths import require_there
