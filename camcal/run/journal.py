@@ -10,12 +10,11 @@ files and what it printed as JSON: a run whose inputs, settings and outputs are 
 import glob
 import json
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Generic
+from typing import Any
 
 from camcal import files, system, urls
 from camcal.errors import CamcalError, FileError, reason
@@ -27,7 +26,7 @@ from camcal.run.fanout import fan_out
 from camcal.run.manifest import Entry
 from camcal.run.options import DEFAULT_BATCH, BatchOptions, inputs_of, outputs_of
 from camcal.run.outputs import Run, listed
-from camcal.run.resume import MadeItem, made_from, remembering
+from camcal.run.resume import Items, MadeItem, Recording, Store, remembering
 
 _JOURNAL: ContextVar["Journal | None"] = ContextVar("journal", default=None)
 
@@ -115,31 +114,10 @@ def journal_beside(output: Path | None, batch: BatchOptions) -> Iterator[None]:
         _JOURNAL.reset(token)
 
 
-@dataclass(frozen=True)
-class Found(Generic[Item, Value]):
-    """What is found in images: settings, inputs: as of `resume.Items`. result: the type of what is found."""
-
-    settings: str
-    inputs: Callable[[Item], Sequence[Path | str]]
-    result: Any
-
-
-@dataclass(frozen=True)
-class _Looked(Generic[Item, Value]):
-    """A function of items that also says what they were made from."""
-
-    function: Callable[[Item], Value]
-    found: Found[Item, Value]
-
-    def __call__(self, item: Item) -> MadeItem[Value]:
-        before = made_from(self.found.settings, self.found.inputs(item))
-        return MadeItem(self.function(item), before, ())
-
-
 def journaled(
     function: Callable[[Item], Value],
     every: Iterable[Item],
-    found: Found[Item, Value],
+    items: Items[Item, Value],
     *,
     jobs: int | None = None,
     batch: BatchOptions = DEFAULT_BATCH,
@@ -153,14 +131,14 @@ def journaled(
         return fan_out(
             function, every, jobs=jobs, batch=batch, processes=True, what=what, progress=progress, timeout=timeout
         )
-    looked = _Looked(function, found)
+    recording = Recording(function, items)
 
     def fan(left: Iterable[Item]) -> Iterator[Outcome[Item, MadeItem[Value]]]:
         return fan_out(
-            looked, left, jobs=jobs, batch=batch, processes=True, what=what, progress=progress, timeout=timeout
+            recording, left, jobs=jobs, batch=batch, processes=True, what=what, progress=progress, timeout=timeout
         )
 
-    outcomes = remembering(_Journaled(kept, found), every, fan, jobs=jobs, batch=batch, progress=progress)
+    outcomes = remembering(JournalStore(kept, items), every, fan, jobs=jobs, batch=batch, progress=progress)
     return _note_failures(kept, outcomes)
 
 
@@ -171,38 +149,28 @@ def _note_failures(kept: Journal, outcomes: Iterable[Outcome[Item, Value]]) -> I
         yield outcome
 
 
-class _Journaled(Generic[Item, Value]):
-    """What was found in images as a journal knows it; see `resume.Memory`."""
+class JournalStore(Store[Item, Value]):
+    """What was found in images as a journal knows it."""
 
-    def __init__(self, kept: Journal, found: Found[Item, Value]) -> None:
+    def __init__(self, kept: Journal, items: Items[Item, Value]) -> None:
+        super().__init__(items)
         self.kept = kept
-        self.found = found
-
-    def made_from(self, item: Item) -> str:
-        """See `resume.Memory`."""
-        return made_from(self.found.settings, self.found.inputs(item))
 
     def holds(self, item: Item) -> bool:  # noqa: ARG002 - only its fingerprint tells
-        """See `resume.Memory`."""
         return bool(self.kept.known)
 
     def reuse(self, item: Item, fingerprint_now: str) -> Outcome[Item, Value] | None:
-        """See `resume.Memory`."""
         data = self.kept.known.get(fingerprint_now)
         if data is not None:
             with suppress(KeyError, IndexError, TypeError, ValueError, CamcalError):  # changed by hand
-                value = fingerprint.value_of_plain(self.found.result, json.loads(urls.standing(data)))
+                value = fingerprint.value_of_plain(self.items.result, json.loads(urls.standing(data)))
                 run = files.LEDGER.get()
                 if isinstance(run, Run):
                     run.found_before += 1
                 return Outcome(item, value, reused=True)
         return None
 
-    def release(self, left: Sequence[Item], *, claimed: bool) -> None:
-        """See `resume.Memory`."""
-
     def record(self, item: Item, made: MadeItem[Value]) -> None:  # noqa: ARG002 - see `holds`
-        """See `resume.Memory`."""
         with suppress(FileError):  # it would only be found again
             self.kept.add(made.made_from, fingerprint.as_plain(made.value))
 

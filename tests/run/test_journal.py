@@ -7,8 +7,9 @@ import pytest
 
 from camcal.errors import FileError, InvalidInput
 from camcal.run import fingerprint
-from camcal.run.journal import Found, going_on, journal_beside, journaled, path_beside
+from camcal.run.journal import going_on, journal_beside, journaled, path_beside
 from camcal.run.options import DEFAULT_BATCH, BatchOptions
+from camcal.run.resume import Items
 from camcal.targets.board import Board
 from camcal.targets.detection import BoardDetection
 
@@ -38,7 +39,7 @@ def look(images, batch=DEFAULT_BATCH, stop=None, error=None, settings="any"):
         searched.append(path.stem)
         return BoardDetection(path.name, (4, 3), np.array([2, 5]), np.array([[0.1, 1 / 3], [2.5, np.pi]]))
 
-    found = Found(settings, lambda path: [path], BoardDetection)
+    found = Items(settings, lambda path: [path], result=BoardDetection)
     with journal_beside(OUTPUT, batch):
         outcomes = list(journaled(search, images, found, jobs=1, batch=batch))
     return searched, [outcome.value for outcome in outcomes]
