@@ -83,7 +83,7 @@ def verdict(line: str, *, good: bool | None) -> None:
     """
     indent = len(line) - len(line.lstrip(" "))
     lines = _lines_of(line[: indent + 1].upper() + line[indent + 1 :])
-    if good is not None and _has_colours():
+    if good is not None and (_on_terminal() and not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"):
         lines = [f"{_BOLD_GREEN if good else _BOLD_RED}{part}{_PLAIN}" for part in lines]
     _print(lines)
 
@@ -187,10 +187,6 @@ def width() -> int:
 def _on_terminal() -> bool:
     stream = _stream()
     return stream is not None and stream.isatty()
-
-
-def _has_colours() -> bool:
-    return _on_terminal() and not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"
 
 
 def printable(words: str) -> str:

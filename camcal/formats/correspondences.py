@@ -27,7 +27,7 @@ from camcal import files
 from camcal.arrays import Array, readonly
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.estimate.poses.records import Correspondences
-from camcal.formats.documents import Document, Fault, child, load_either
+from camcal.formats.documents import Fault, child, load_either
 from camcal.formats.schema import mapping
 from camcal.formats.tables import COVARIANCE, Table, cell, csv_rows, far_outside, numbered_lines, pixel_covariances
 
@@ -45,7 +45,7 @@ Size = tuple[int, int]
 
 POSITION = ("x", "y", "z")
 NORMAL = ("nx", "ny", "nz")
-COVARIANCE = ("sxx", "sxy", "sxz", "syy", "syz", "szz")
+SPACE_COVARIANCE = ("sxx", "sxy", "sxz", "syy", "syz", "szz")
 
 _VARIANCES = ("sxx", "syy", "szz")
 _UPPER = np.triu_indices(3)
@@ -93,7 +93,13 @@ def read(path: Path, image_size: Size | Mapping[str, Size]) -> PointViews:
 def _table(path: Path) -> Table:
     suffix = files.suffix_of(path)
     if suffix in (*JSON, *YAML):
-        return _of_document(load_either(path, mapping({"points": _check_points}), _MAX_VALUES))
+        document = load_either(path, mapping({"points": _check_points}), _MAX_VALUES)
+        points = document["points"]
+        names = list(points[0]) if points else list(COLUMNS)
+        rows = [[str(point[name]) for name in names] for point in points]
+        places = (f"points[{index}]" for index in range(len(points)))
+        lines = [document.line(place) if document.lines else place for place in places]
+        return Table.of_rows(document.where, names, rows, lines)
     return Table.from_csv(str(path), numbered_lines(path), COLUMNS, OPTIONAL)
 
 
@@ -115,14 +121,6 @@ def _check_points(points: Any, path: str) -> Iterator[Fault]:
 def _scalar(value: Any, path: str) -> Iterator[Fault]:
     if isinstance(value, bool) or not isinstance(value, (int, float, str)):
         yield Fault(path, "is not a number or text")
-
-
-def _of_document(document: Document) -> Table:
-    points = document["points"]
-    names = list(points[0]) if points else list(COLUMNS)
-    rows = [[str(point[name]) for name in names] for point in points]
-    places = (f"points[{index}]" for index in range(len(points)))
-    return Table.of_rows(document.where, names, rows, [document.line(at) if document.lines else at for at in places])
 
 
 def _weighty(table: Table) -> Table:
@@ -258,7 +256,7 @@ def read_point_table(path: Path) -> PointTable:
     if len(set(lower)) < len(lower):
         raise InvalidInput(f"column {max(lower, key=lower.count)!r} occurs twice", where=str(path))
     table = Table.of_rows(str(path), names, rows[1:], [number for number, _ in lines[1:]])
-    covariances = _columns(table, COVARIANCE)
+    covariances = _columns(table, SPACE_COVARIANCE)
     points = _columns(table, POSITION)
     assert points is not None  # the columns are there
     return PointTable(table, points, _columns(table, NORMAL), None if covariances is None else _full(covariances))
@@ -270,10 +268,10 @@ def write_point_table(path: Path, points: PointTable) -> None:
     for names, values in (
         (POSITION, points.points),
         (NORMAL, points.normals),
-        (COVARIANCE, None if points.covariances is None else points.covariances[:, *_UPPER]),
+        (SPACE_COVARIANCE, None if points.covariances is None else points.covariances[:, *_UPPER]),
     ):
         for name, column in zip(names, () if values is None else values.T, strict=values is not None):
-            columns[_called(columns, name)] = [_text(value) for value in column]
+            columns[_called(columns, name)] = ["" if np.isnan(value) else f"{value + 0.0:.12g}" for value in column]
     rows = [list(columns), *zip(*columns.values(), strict=True)]
     files.write_text(path, "".join(",".join(map(cell, row)) + "\n" for row in rows))
 
@@ -281,10 +279,6 @@ def write_point_table(path: Path, points: PointTable) -> None:
 def _called(columns: Iterable[str], name: str) -> str:
     """Return how the table writes a column's name, or the name if it has none such."""
     return next((known for known in columns if known.lower() == name), name)
-
-
-def _text(value: float) -> str:
-    return "" if np.isnan(value) else f"{value + 0.0:.12g}"
 
 
 def _columns(table: Table, names: Sequence[str]) -> Array | None:

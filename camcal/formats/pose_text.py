@@ -147,7 +147,11 @@ class Form:
             case "matrix" | "kitti":
                 return _of_matrix(numbers)
             case "dual-quat":
-                return _of_dual(numbers)
+                norm = float(np.linalg.norm(numbers[:4]))
+                if not norm > 0:
+                    return LoosePose(np.full((3, 3), np.nan), np.zeros(3), norm)
+                rotation, translation = from_dual_quaternion(numbers)
+                return LoosePose(rotation, translation, norm, float(dual_quaternion_error(numbers)))
             case "colmap":
                 return _of_quaternion(numbers[:4], numbers[4:])
             case "quat" | "tum" | "ros":
@@ -265,14 +269,6 @@ def _of_quaternion(quaternion: Array, translation: Array) -> LoosePose:
     """Return the pose of a quaternion w x y z and a translation."""
     norm = float(np.linalg.norm(quaternion))
     return LoosePose(so3.from_quaternion(quaternion) if norm > 0 else np.full((3, 3), np.nan), translation, norm)
-
-
-def _of_dual(numbers: Array) -> LoosePose:
-    norm = float(np.linalg.norm(numbers[:4]))
-    if not norm > 0:
-        return LoosePose(np.full((3, 3), np.nan), np.zeros(3), norm)
-    rotation, translation = from_dual_quaternion(numbers)
-    return LoosePose(rotation, translation, norm, float(dual_quaternion_error(numbers)))
 
 
 def read(path: Path, form: Form | None = None) -> Pose:

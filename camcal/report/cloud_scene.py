@@ -148,7 +148,9 @@ def gather(stream: VertexStream, most: int) -> CloudScene:
         raise InsufficientData("the cloud has no points")
     vertices = np.concatenate(picked)
     points = np.stack([vertices[axis] for axis in POSITION], axis=1)
-    near = _near(points)
+    low, high = _box(_sample(points))
+    reach = _MARGIN * max(float((high - low).max()), 1e-6 * float(np.abs(points).max()))
+    near: Array = ((points >= low - reach) & (points <= high + reach)).all(axis=1)
     return CloudScene(
         points[near],
         _colours(vertices[near]),
@@ -198,14 +200,6 @@ def _colours(vertices: Array) -> Array | None:
         light = np.rint(np.clip(np.nan_to_num(vertices[INTENSITY]), 0, 1) * 255).astype(np.uint8)
         return np.repeat(light[:, None], 3, axis=1)
     return None
-
-
-def _near(points: Array) -> Array:
-    """Return which points (N,) stand within the box of nearly all of them made larger by `_MARGIN` on every side."""
-    low, high = _box(_sample(points))
-    reach = _MARGIN * max(float((high - low).max()), 1e-6 * float(np.abs(points).max()))
-    near: Array = ((points >= low - reach) & (points <= high + reach)).all(axis=1)
-    return near
 
 
 def _sample(values: Array) -> Array:

@@ -39,7 +39,7 @@ def test_points_alone_have_neither_normals_nor_covariances(tmp_path):
         ("x,y,z\n1,2,c\n", r"points.csv:2: z: 'c' is not a number"),
         ("x,y,z\n1,2,3\n1,inf,3\n", r"points.csv:3: y: inf is not finite"),
         (
-            f"x,y,z,{','.join(correspondences.COVARIANCE)}\n1,2,3,1,0,0,-4,0,1\n",
+            f"x,y,z,{','.join(correspondences.SPACE_COVARIANCE)}\n1,2,3,1,0,0,-4,0,1\n",
             r"points.csv:2: syy: -4 is not a variance",
         ),
         ("x,y,z\n1,2\n", "points.csv:2: 2 cells under 3 columns"),

@@ -87,7 +87,9 @@ def _type_of(stream: VertexStream) -> np.dtype[np.void]:
 
 
 def _interleaved(stream: VertexStream, kind: np.dtype[np.void]) -> Iterator[Array]:
-    linear = _linear_counts()
+    value = np.arange(256) / 255  # to linear light: IEC 61966-2-1
+    light = np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
+    linear = np.asarray(np.rint(light * _OPAQUE), np.uint16)
     for block in blocks_of(stream):
         kept = block[np.isfinite(block["x"]) & np.isfinite(block["y"]) & np.isfinite(block["z"])]
         points = np.empty(len(kept), kind)
@@ -98,13 +100,6 @@ def _interleaved(stream: VertexStream, kind: np.dtype[np.void]) -> Iterator[Arra
         if "COLOR_0" in (kind.names or ()):
             points["COLOR_0"][:, 3] = _OPAQUE
         yield points
-
-
-def _linear_counts() -> Array:
-    """Return the linear light, 0 … 65535, of each 8-bit count of sRGB (256,): IEC 61966-2-1."""
-    value = np.arange(256) / 255
-    light = np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
-    return np.asarray(np.rint(light * _OPAQUE), np.uint16)
 
 
 def _description(stream: VertexStream, kind: np.dtype[np.void], count: int, extent: Array) -> bytes:
@@ -217,11 +212,8 @@ def _values(document: Any, index: int, binary: bytes) -> Array:
     needed = start + max(count - 1, 0) * stride + kind.itemsize
     if min(count, start) < 0 or stride < kind.itemsize or needed > len(binary):
         raise FileError(f"{count} points end {needed} bytes into the GLB file's binary part, which has {len(binary)}")
-    return np.ndarray((count, *kind.shape), kind.base, binary, start, (stride, *_steps(kind)))
-
-
-def _steps(kind: np.dtype[Any]) -> tuple[int, ...]:
-    return (kind.base.itemsize,) if kind.shape else ()
+    steps = (stride, kind.base.itemsize) if kind.shape else (stride,)
+    return np.ndarray((count, *kind.shape), kind.base, binary, start, steps)
 
 
 def _srgb(linear: Array) -> Array:

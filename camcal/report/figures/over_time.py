@@ -267,7 +267,11 @@ def blur_over_distance(curve: BlurCurve) -> Plot:
 
 def _draw_blur(axes: Axes, curve: BlurCurve, ends: str, theme: Theme) -> None:
     unit, scale = ("pixels", curve.pitch) if curve.pitch else ("um", 1e-6)
-    distance = _distances(curve)
+    # up to well beyond the depth of field to both sides, the focus among them
+    far = curve.far if curve.far < inf else 10 * curve.near
+    margin = min(max(far / curve.near, 1.05) ** 2, 4.0)
+    low = max(curve.near / margin, 1.05 * curve.focal)
+    distance = np.unique([*np.geomspace(low, far * margin, 400), min(curve.focus, far * margin)])
     disc = blur_disc(curve.focal, curve.f_number, curve.focus, distance) / scale
     axes.axvspan(curve.near, min(curve.far, distance[-1]), color=theme.good, alpha=0.15, label=f"in focus, {ends}")
     axes.plot(distance, disc, color=theme.series[0], label="blur disc")
@@ -286,11 +290,3 @@ def _draw_blur(axes: Axes, curve: BlurCurve, ends: str, theme: Theme) -> None:
     axes.set_ylabel(f"diameter on the sensor, {unit}")
     axes.grid(visible=True, which="major")
     axes.legend(loc="upper right", framealpha=0.9)
-
-
-def _distances(curve: BlurCurve) -> Array:
-    """Return distances (N,) in m, up to well beyond the depth of field to both sides, the focus among them."""
-    far = curve.far if curve.far < inf else 10 * curve.near
-    margin = min(max(far / curve.near, 1.05) ** 2, 4.0)
-    low = max(curve.near / margin, 1.05 * curve.focal)
-    return np.unique([*np.geomspace(low, far * margin, 400), min(curve.focus, far * margin)])

@@ -210,7 +210,10 @@ def images_section(camera: CalibratedCamera) -> Section:
 
 def _parameters(own: CalibratedCamera, shown: Sequence[Picture]) -> Section:
     calibration, camera = own.calibration, own.calibration.camera
-    rows = [[name, value, std, _unit(name)] for name, value, std in parameter_rows(calibration)]
+    rows = [
+        [name, value, std, ("px" if name in ("fx", "fy", "cx", "cy") else "")]
+        for name, value, std in parameter_rows(calibration)
+    ]
     tables = [Table.of(f"Lens parameters{own.owner}", ("parameter", "value", "± std", "unit"), rows)]
     names = [name for name in camera.model.parameter_names if camera.std(name)]
     if camera.covariance is not None and len(names) > 1:
@@ -232,10 +235,6 @@ def _strongest(own: CalibratedCamera, names: Sequence[str]) -> Table:
     rows = [[f"{one}, {other}", f"{share:+.3f}"] for share, one, other in strong]
     caption = f"Correlations beyond ± {_STRONG:g}" if rows else f"No correlation is beyond ± {_STRONG:g}"
     return Table.of(f"{caption}{own.owner}", ("parameters", "correlation"), rows, folded=True)
-
-
-def _unit(name: str) -> str:
-    return "px" if name in ("fx", "fy", "cx", "cy") else ""
 
 
 def refused_page(
