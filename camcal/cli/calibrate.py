@@ -43,19 +43,19 @@ def calibrate(options: CalibrateOptions, call: ImageCall) -> None:
 
 def _calibrate(options: CalibrateOptions, call: ImageCall) -> None:
     from camcal.errors import ItemsFailed
-    from camcal.run.journal import going_on
+    from camcal.run.journal import resume_hint
     from camcal.tasks.calibration.calibrate import calibrate as run
     from camcal.tasks.calibration.calibrate import document, require_good
 
     report = run(options, call.progress)
     failures = () if options.require else report.assessment.failures  # which end the command with an error then
-    call.give_found(
+    call.give_with_reused(
         lambda: document(report, options), lambda: _show_calibration(report, options, call.verbose), failures
     )
     require_good(report, options)
     if report.failed:
         listed = ", ".join(report.failed[: show.LISTED])
-        again = going_on(options.output)
+        again = resume_hint(options.output)
         raise ItemsFailed(f"{counted(len(report.failed), 'image')} could not be read: {listed}{again}")
 
 
@@ -154,14 +154,16 @@ def detect(options: DetectOptions, call: ImageCall) -> None:
 
 def _detect(options: DetectOptions, call: ImageCall) -> None:
     from camcal.errors import ItemsFailed
-    from camcal.run.journal import going_on
+    from camcal.run.journal import resume_hint
     from camcal.tasks.calibration.detect import detect_images, document
 
     report = detect_images(options, call.progress)
-    call.give_found(lambda: document(report, options.output), lambda: _show_detections(report, options, call.verbose))
+    call.give_with_reused(
+        lambda: document(report, options.output), lambda: _show_detections(report, options, call.verbose)
+    )
     show.failed(report.failed)
     if report.failed:
-        again = going_on(options.output)
+        again = resume_hint(options.output)
         raise ItemsFailed(f"{counted(len(report.failed), 'image')} could not be read, the rest is written{again}")
 
 
@@ -284,15 +286,17 @@ def _calibrate_rig(run: Callable[[Options, Progress], "RigReport"], options: Opt
 def _finish_rig(report: "RigReport", settings: RigSettings, call: ImageCall) -> None:
     """Show a report, and end as it and the settings say."""
     from camcal.errors import ItemsFailed
-    from camcal.run.journal import going_on
+    from camcal.run.journal import resume_hint
     from camcal.tasks.rigs.calibrate_rig import document, require_good
 
     failures = () if settings.require else report.failures  # which end the command with an error then
-    call.give_found(lambda: document(report, settings), lambda: _show_rig(report, settings, call.verbose), failures)
+    call.give_with_reused(
+        lambda: document(report, settings), lambda: _show_rig(report, settings, call.verbose), failures
+    )
     require_good(report, settings)
     if report.failed:
         listed = ", ".join(report.failed[: show.LISTED])
-        again = going_on(settings.output)
+        again = resume_hint(settings.output)
         raise ItemsFailed(f"{counted(len(report.failed), 'image')} could not be read: {listed}{again}")
 
 

@@ -104,12 +104,12 @@ class _StepProgress:
 
 def perform(job: StepJob, progress: Progress = SILENT) -> StepResult:
     """Return what comes of a step; its errors are part of that."""
-    from camcal.run.outputs import watching
+    from camcal.run.outputs import watch_files
 
     reporter = _StepProgress(job.name, progress)
     call = StepCall(job.command, reporter=reporter)
     error = None
-    with chdir(job.folder), kept() as printed, files.unwatched(), watching(read=[job.pipeline]) as run:
+    with chdir(job.folder), kept() as printed, files.unwatched(), watch_files(read=[job.pipeline]) as run:
         try:
             run.add({each: each.of(job.options) for each in declared(type(job.options))})
             StepCommands().function(job.command)(job.options, call)

@@ -40,19 +40,19 @@ def pnp(options: PnpOptions, call: ImageCall) -> None:
 
 def _pnp(options: PnpOptions, call: ImageCall) -> None:
     from camcal.errors import ItemsFailed, NotConverged
-    from camcal.run.journal import going_on
+    from camcal.run.journal import resume_hint
     from camcal.tasks.poses.pnp import document
     from camcal.tasks.poses.pnp import pnp as run
 
     report = run(options, call.progress)
-    call.give_found(lambda: document(report), lambda: _show_poses(report, options, verbose=call.verbose))
+    call.give_with_reused(lambda: document(report), lambda: _show_poses(report, options, verbose=call.verbose))
     if report.unsettled:
         raise NotConverged(f"these poses did not converge: {', '.join(map(str, report.unsettled[: show.LISTED]))}")
     report.require_good(options.gates)
     if failed := report.failed:
         total = len(failed) + len(report.poses.estimates)
         listed = ", ".join(failed[: show.LISTED])
-        again = going_on(options.output)
+        again = resume_hint(options.output)
         raise ItemsFailed(f"no pose from {len(failed)} of {counted(total, 'image')}: {listed}{again}")
 
 

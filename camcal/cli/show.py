@@ -83,7 +83,8 @@ def verdict(line: str, *, good: bool | None) -> None:
     """
     indent = len(line) - len(line.lstrip(" "))
     lines = _lines_of(line[: indent + 1].upper() + line[indent + 1 :])
-    if good is not None and (_on_terminal() and not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"):
+    has_colours = _on_terminal() and not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"
+    if good is not None and has_colours:
         lines = [f"{_BOLD_GREEN if good else _BOLD_RED}{part}{_PLAIN}" for part in lines]
     _print(lines)
 

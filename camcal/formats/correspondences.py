@@ -271,19 +271,21 @@ def write_point_table(path: Path, points: PointTable) -> None:
         (SPACE_COVARIANCE, None if points.covariances is None else points.covariances[:, *_UPPER]),
     ):
         for name, column in zip(names, () if values is None else values.T, strict=values is not None):
-            columns[_called(columns, name)] = ["" if np.isnan(value) else f"{value + 0.0:.12g}" for value in column]
+            columns[_find_column(columns, name)] = [
+                "" if np.isnan(value) else f"{value + 0.0:.12g}" for value in column
+            ]
     rows = [list(columns), *zip(*columns.values(), strict=True)]
     files.write_text(path, "".join(",".join(map(cell, row)) + "\n" for row in rows))
 
 
-def _called(columns: Iterable[str], name: str) -> str:
+def _find_column(columns: Iterable[str], name: str) -> str:
     """Return how the table writes a column's name, or the name if it has none such."""
     return next((known for known in columns if known.lower() == name), name)
 
 
 def _columns(table: Table, names: Sequence[str]) -> Array | None:
     """Return columns of numbers (N, len(names)), None if the table has none of them; raises InvalidInput for some."""
-    known = [_called(table.columns, name) for name in names]
+    known = [_find_column(table.columns, name) for name in names]
     missing = [name for name in known if name not in table.columns]
     if len(missing) == len(names):
         return None

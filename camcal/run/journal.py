@@ -36,7 +36,7 @@ def path_beside(output: Path) -> Path:
     return output.with_name(f".{output.name}.camcal-journal")
 
 
-def going_on(output: Path | None) -> str:
+def resume_hint(output: Path | None) -> str:
     """Return what to add to the error of a run that has left its journal, nothing if it has not."""
     left = output is not None and path_beside(output).is_file()
     return "; with --resume the others are not searched again" if left else ""

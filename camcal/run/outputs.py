@@ -47,7 +47,7 @@ def writes(task: Callable[P, R]) -> Callable[P, R]:
 
     @wraps(task)
     def watched(*arguments: P.args, **named: P.kwargs) -> R:
-        with watching() as run:
+        with watch_files() as run:
             options: Any = arguments[0] if arguments else named["options"]
             run.add({each: each.of(options) for each in declared(type(options))})
             return task(*arguments, **named)
@@ -56,7 +56,7 @@ def writes(task: Callable[P, R]) -> Callable[P, R]:
 
 
 @contextmanager
-def watching(read: Iterable[Path] = ()) -> Iterator["Run"]:
+def watch_files(read: Iterable[Path] = ()) -> Iterator["Run"]:
     """Yield the run that keeps account of files during the block, the one around it if there is one.
 
     read: files that have been read for it before.

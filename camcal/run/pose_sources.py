@@ -95,7 +95,7 @@ def _some(found: Sequence[Item], text: str) -> Sequence[Item]:
 
 def _join(texts: Sequence[str]) -> list[str]:
     """Return arguments, or one of them all if each is a single number."""
-    if len(texts) > 1 and all((len(text.split()) == 1 and is_row(text)) for text in texts):
+    if len(texts) > 1 and all(len(text.split()) == 1 and is_row(text) for text in texts):
         return [" ".join(texts)]
     return list(texts)
 

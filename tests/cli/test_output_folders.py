@@ -27,8 +27,8 @@ steps:
 HOLD = """
 import sys
 from pathlib import Path
-from camcal.run.outputs import watching
-with watching() as run:
+from camcal.run.outputs import watch_files
+with watch_files() as run:
     run.folders.hold(Path("out"), "--output")
     print("held", flush=True)
     sys.stdin.read()

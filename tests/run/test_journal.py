@@ -7,7 +7,7 @@ import pytest
 
 from camcal.errors import FileError, InvalidInput
 from camcal.run import fingerprint
-from camcal.run.journal import going_on, journal_beside, journaled, path_beside
+from camcal.run.journal import journal_beside, journaled, path_beside, resume_hint
 from camcal.run.options import DEFAULT_BATCH, BatchOptions
 from camcal.run.resume import Items
 from camcal.targets.board import Board
@@ -102,10 +102,10 @@ def test_a_run_that_fails_leaves_a_journal_where_it_is_of_use(images, error, sta
 
 def test_a_run_for_which_images_failed_leaves_a_journal_until_they_are_repaired(images):
     look(images, stop=images[1], error=FileError("is damaged"))
-    assert going_on(OUTPUT) == "; with --resume the others are not searched again"
+    assert resume_hint(OUTPUT) == "; with --resume the others are not searched again"
     images[1].write_bytes(b"repaired")
     assert look(images, RESUME)[0] == ["1"]
-    assert going_on(OUTPUT) == ""
+    assert resume_hint(OUTPUT) == ""
 
 
 def test_records_of_detection_are_the_same_after_a_round_trip():

@@ -137,10 +137,10 @@ def _xyz_columns(numbers: Array, names: list[str] | None) -> dict[str, Array]:
         raise FileError(f"the file names {len(names)} columns, its rows have {count}")
     if count < len(POSITION):
         raise FileError(f"a row has {count} numbers (minimum 3)")
-    return dict(zip(names or _guessed(numbers), numbers.T, strict=False))
+    return dict(zip(names or _guess(numbers), numbers.T, strict=False))
 
 
-def _guessed(numbers: Array) -> tuple[str, ...]:
+def _guess(numbers: Array) -> tuple[str, ...]:
     names = _PLAIN.get(numbers.shape[1], POSITION)
     if set(COLOUR) <= set(names):
         colours = numbers[:, 3:6]

@@ -66,7 +66,7 @@ def write(file: BinaryIO, stream: VertexStream) -> None:
 def _write_points(file: BinaryIO, stream: VertexStream, kind: np.dtype[np.void]) -> tuple[int, Array]:
     """Return the number of points written, and the smallest and largest x, y, z (2, 3)."""
     count, low, high = 0, np.full(3, np.inf, np.float32), np.full(3, -np.inf, np.float32)
-    for block in _interleaved(stream, kind):
+    for block in _interleave(stream, kind):
         file.write(block.data)
         count += len(block)
         for axis, column in enumerate(block["POSITION"].T):
@@ -86,7 +86,7 @@ def _type_of(stream: VertexStream) -> np.dtype[np.void]:
     return np.dtype(fields)
 
 
-def _interleaved(stream: VertexStream, kind: np.dtype[np.void]) -> Iterator[Array]:
+def _interleave(stream: VertexStream, kind: np.dtype[np.void]) -> Iterator[Array]:
     value = np.arange(256) / 255  # to linear light: IEC 61966-2-1
     light = np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
     linear = np.asarray(np.rint(light * _OPAQUE), np.uint16)
@@ -219,10 +219,10 @@ def _values(document: Any, index: int, binary: bytes) -> Array:
 def _srgb(linear: Array) -> Array:
     """Return the 8-bit counts of linear light, 0 … 1 or the full scale of integers."""
     if linear.dtype.kind == "f":
-        return _encoded(linear)
+        return _encode(linear)
     scale = np.iinfo(linear.dtype).max
-    return np.asarray(_encoded(np.arange(scale + 1) / scale)[linear])
+    return np.asarray(_encode(np.arange(scale + 1) / scale)[linear])
 
 
-def _encoded(light: Array) -> Array:
+def _encode(light: Array) -> Array:
     return np.asarray(np.rint(255 * np.clip(encode(np.nan_to_num(light), "srgb"), 0, 1)), np.uint8)

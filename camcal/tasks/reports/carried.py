@@ -128,12 +128,12 @@ def read(path: Path, photo: re.Pattern[str]) -> PageData:
     if faults := list(_RUN(run, "")):
         raise document.error(faults)
     with Located(f"{path}: {DETECTIONS}"):
-        table = _inflated(page.texts[DETECTIONS])
+        table = _inflate(page.texts[DETECTIONS])
     photos = {key: uri for key, uri in page.photos.items() if photo.fullmatch(uri)}
     return PageData(run, detections.parse_csv(table, f"{path}: {DETECTIONS}", boards.from_block(run["board"])), photos)
 
 
-def _inflated(content: str) -> str:
+def _inflate(content: str) -> str:
     """Return the text that deflated bytes in base64 hold; raises FileError if they are damaged or hold too much."""
     try:
         packed = base64.b64decode(content.strip(), validate=True)

@@ -31,7 +31,7 @@ def origin_section(provenance: Mapping[str, Any], environment: Mapping[str, str]
     rows += [["created", str(provenance["created"])]] if "created" in provenance else []
     rows += [[name, version] for name, version in environment.items()]
     rows += [
-        [f"board {name}", (" x ".join(map(str, value)) if isinstance(value, list) else str(value))]
+        [f"board {name}", " x ".join(map(str, value)) if isinstance(value, list) else str(value)]
         for name, value in dict(provenance.get("board", {})).items()
     ]
     if totals := provenance.get("image_totals"):
