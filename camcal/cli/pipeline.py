@@ -17,8 +17,15 @@ from camcal.errors import EXIT_BUG, ItemsFailed, translated
 from camcal.messages import Message
 from camcal.options import declared
 from camcal.progress import SILENT, Progress
-from camcal.tasks.pipelines.reading import NOT_STEPS
-from camcal.tasks.pipelines.step import PipelineOptions, StepError, StepJob, StepResult, below_here, figures_of
+from camcal.tasks.pipelines.step import (
+    NOT_STEPS,
+    PipelineOptions,
+    StepError,
+    StepJob,
+    StepResult,
+    below_here,
+    figures_of,
+)
 
 if TYPE_CHECKING:
     from camcal.tasks.pipelines.run_pipeline import PipelineReport, StepReport

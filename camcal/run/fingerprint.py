@@ -21,7 +21,7 @@ import camcal
 from camcal import files, urls
 from camcal.arrays import Array
 from camcal.formats import provenance
-from camcal.options import GENERAL, PATH, Declared, declared
+from camcal.options import PATH, Declared, declared
 
 _ALSO = ("rawpy", "onnxruntime")  # libraries that decode or match, beside those that every result names
 
@@ -130,11 +130,6 @@ def of_settings(options: Any, without: Collection[str] = ()) -> str:
     values = {".".join(each.path): (each, each.of(options)) for each in kept}
     settings = {name: _texts(each, value) for name, (each, value) in values.items() if value is not None}
     return of_data([type(options).__name__, settings, versions()])
-
-
-def counts(each: Declared) -> bool:
-    """Return whether the files or the exit code of a command depend on an option; others only say how it works."""
-    return each.option.recorded or (each.option.group != GENERAL and each.name != "--overwrite")
 
 
 def versions() -> dict[str, str]:

@@ -24,7 +24,7 @@ from camcal.progress import SILENT, Item, Outcome, Progress, Value, values_of
 from camcal.run import fingerprint, manifest
 from camcal.run.fanout import fan_out
 from camcal.run.manifest import Entry
-from camcal.run.options import DEFAULT_BATCH, BatchOptions, inputs_of, outputs_of
+from camcal.run.options import DEFAULT_BATCH, BatchOptions, counts, inputs_of, outputs_of
 from camcal.run.outputs import Run, listed
 from camcal.run.resume import Items, MadeItem, Recording, Store, remembering
 
@@ -220,7 +220,7 @@ class Finished:
 
 def _other_options(options: Any, output: Path) -> dict[str, list[str]]:
     """Return the options that count beside the settings: the other files that are written, and checks of the result."""
-    known = [each for each in declared(type(options)) if fingerprint.counts(each) and not each.option.recorded]
+    known = [each for each in declared(type(options)) if counts(each) and not each.option.recorded]
     values = [(each, each.of(options)) for each in known]
     return {each.key: each.words(value) for each, value in values if value is not None and value != output}
 

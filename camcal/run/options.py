@@ -147,3 +147,8 @@ def refuse_one_place(outputs: Iterable[tuple[Declared, Path]]) -> None:
     for (one, path), (other, same) in combinations(outputs, 2):
         if system.place_of(path) == system.place_of(same) and str(path) != os.devnull:
             raise InvalidInput(f"{one.name} and {other.name} would both be written to it", where=str(path))
+
+
+def counts(each: Declared) -> bool:
+    """Return whether the files or the exit code of a command depend on an option; others only say how it works."""
+    return each.option.recorded or (each.option.group != GENERAL and each.name != "--overwrite")

@@ -66,7 +66,7 @@ def changed(path, change):
     run = carried(page)
     change(run)
     start, end = re.search(r'id="camcal-run">(.*?)</script>', page, flags=re.DOTALL).span(1)
-    path.write_text(page[:start] + carried.run_text(run) + page[end:], encoding="utf-8")
+    path.write_text(page[:start] + carried_data.run_text(run) + page[end:], encoding="utf-8")
 
 
 def test_detections_without_a_calibration_get_a_report_that_says_why(refusal):
@@ -285,6 +285,6 @@ def test_options_are_restored_as_they_were_given():
 def test_a_photograph_is_small_and_keeps_its_shape():
     uri = photograph(np.tile(np.arange(1280, dtype=np.uint8), (960, 1)))
     assert PHOTO.fullmatch(uri)
-    content = carried.file_content(uri.partition(",")[2], "photo")
+    content = carried_data.file_content(uri.partition(",")[2], "photo")
     assert cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_GRAYSCALE).shape == (240, 320)
     assert len(uri) < 30_000

@@ -22,13 +22,13 @@ from camcal.options import (
     assembled,
     declared,
 )
-from camcal.run.fingerprint import counts
-from camcal.run.options import BatchOptions, inputs_of, outputs_of
+from camcal.run.options import BatchOptions, counts, inputs_of, outputs_of
 from camcal.tasks.options import Jobs, Overwrite
 
 STEPS = "Steps"
 
 Figure = str | float | bool
+NOT_STEPS = ("run", "demo", "doctor")  # pipelines do not call each other, and nothing depends on the others
 
 
 @dataclass(frozen=True)
