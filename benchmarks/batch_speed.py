@@ -35,8 +35,7 @@ from camcal.images.image import Image, Scratch
 from camcal.images.options import ViewOptions
 from camcal.images.remap import Maps, build_maps
 from camcal.images.views import make_view
-from camcal.run.fanout import one_opencv_thread
-from camcal.run.process import available_cores
+from camcal.run.process import available_cores, one_opencv_thread
 from camcal.tasks.calibration.undistort import undistort
 from camcal.tasks.calibration.undistort_options import UndistortOptions
 

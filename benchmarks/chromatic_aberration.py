@@ -28,7 +28,8 @@ from camcal.raw.options import ImageReadOptions
 from camcal.raw.reading import read_mosaic
 from camcal.simulate.mosaics import lenses
 from camcal.simulate.options import Sensor
-from camcal.tasks.calibration.calibrate import CalibrateReport, calibrate
+from camcal.tasks.calibration.calibrate import calibrate
+from camcal.tasks.calibration.camera_result import CalibrateReport
 from camcal.tasks.calibration.options import CalibrateOptions
 from camcal.tasks.simulation.options import RawOptions, SimulateOptions
 from camcal.tasks.simulation.simulate import simulate

@@ -19,7 +19,8 @@ from scipy.special import chdtrc
 from camcal.arrays import Array, FloatArray, readonly
 from camcal.calibrate.intrinsics import Calibration
 from camcal.calibrate.noise import CUT, robust_sigma, truncation
-from camcal.cameras.model import Camera, CameraModel
+from camcal.cameras.lens import CameraModel
+from camcal.cameras.model import Camera
 from camcal.cameras.reprojection import linearised, residuals
 from camcal.errors import InsufficientData, NotConverged
 from camcal.solve.least_squares import Solution, minimise

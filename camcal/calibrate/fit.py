@@ -26,7 +26,8 @@ from camcal.calibrate.problem import BoardProblem, State
 from camcal.calibrate.shape import hold_to_print, odd_terms
 from camcal.cameras.catalogue import WIDE_MODEL
 from camcal.cameras.directions import direction_displacements, in_hull
-from camcal.cameras.model import Camera, CameraModel
+from camcal.cameras.lens import CameraModel
+from camcal.cameras.model import Camera
 from camcal.cameras.observations import Observations
 from camcal.cameras.refit import fit_lens
 from camcal.errors import InsufficientData

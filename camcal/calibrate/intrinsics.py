@@ -32,7 +32,8 @@ from camcal.calibrate.several_cameras import TwoCameras, two_cameras
 from camcal.calibrate.shape import surface_of
 from camcal.calibrate.view_records import RejectedCorner, View, rejected_corners, view_records
 from camcal.cameras.catalogue import MODELS
-from camcal.cameras.model import Camera, CameraModel
+from camcal.cameras.lens import CameraModel
+from camcal.cameras.model import Camera
 from camcal.cameras.observations import Observations
 from camcal.errors import InsufficientData, InvalidInput, NotConverged
 from camcal.solve.steps import SingularError

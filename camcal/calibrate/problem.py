@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.cameras.model import CameraModel
+from camcal.cameras.lens import CameraModel
 from camcal.cameras.observations import Observations
 from camcal.cameras.reprojection import by_pose, linearised, residuals, rotated_points, whitened
 from camcal.geometry.pose import retract

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.cameras.model import Camera, CameraModel
+from camcal.cameras.lens import CameraModel
+from camcal.cameras.model import Camera
 from camcal.errors import InsufficientData
 from camcal.solve.dense import DenseMethod, minimise_dense
 from camcal.solve.steps import Block, Jacobian, Step

@@ -78,7 +78,7 @@ class Call:
             return
         show.distrust(failures)
 
-    def give_found(
+    def give_with_reused(
         self, document: Callable[[], Mapping[str, Any]], words: Callable[[], None], failures: Sequence[Message] = ()
     ) -> None:
         """Print a result as `give` does, and of how many of its images an earlier run had found the corners."""

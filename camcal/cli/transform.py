@@ -80,13 +80,13 @@ def _give(made: "TransformResult", output: Output, call: Call) -> None:
 
 def _show_made(made: "TransformResult", output: Output, *, verbose: bool) -> None:
     """Print transforms and what they were made of; beside bare numbers only where ways differ, as remarks."""
-    from camcal.report.transform import lines, loop_lines
+    from camcal.report.rig import loop_lines, transform_lines
 
     if output.numbers is not None and made.loops:
         for line in (f"made of {made.products[0]}", *loop_lines(made.loops)):
             show.text(f"# {line}")
     for transform, factors in zip(made.transforms, made.products, strict=True):
-        for line in lines(transform, output.numbers, verbose=verbose):
+        for line in transform_lines(transform, output.numbers, verbose=verbose):
             show.text(line)
         if output.numbers is None:
             show.text(f"  {'made of':<20}  {factors}")
@@ -113,10 +113,10 @@ def convert(options: ConvertOptions, call: Call) -> None:
 
 
 def _show_converted(converted: "Converted", output: Output, *, verbose: bool) -> None:
-    from camcal.report.transform import lines
+    from camcal.report.rig import transform_lines
 
     for transform in converted.transforms:
-        for line in lines(transform, output.numbers, verbose=verbose):
+        for line in transform_lines(transform, output.numbers, verbose=verbose):
             show.text(line)
     _wrote(output)
 
@@ -150,9 +150,9 @@ def average(options: AverageOptions, call: Call) -> None:
 
 
 def _show_average(averaged: "Averaged", output: Output, *, verbose: bool) -> None:
-    from camcal.report.transform import average_line, estimate_rows, lines
+    from camcal.report.rig import average_line, estimate_rows, transform_lines
 
-    for line in lines(averaged.transform, output.numbers, verbose=verbose):
+    for line in transform_lines(averaged.transform, output.numbers, verbose=verbose):
         show.text(line)
     if output.numbers is None:
         show.text(average_line(averaged.mean, weighted=averaged.weighted))
@@ -176,12 +176,12 @@ def check(options: CheckOptions, call: Call) -> None:
 
 
 def _show_check(checked: "Checked", output: Output, *, verbose: bool) -> None:
-    from camcal.report.transform import lines
+    from camcal.report.rig import transform_lines
 
     if output.numbers is None:
         show.table("checked", CHECK_COLUMNS, [pose.row for pose in checked.poses], verbose=verbose)
     for transform in checked.fixed:
-        for line in lines(transform, output.numbers, verbose=verbose):
+        for line in transform_lines(transform, output.numbers, verbose=verbose):
             show.text(line)
     if checked.fixed:
         _wrote(output)
@@ -200,9 +200,9 @@ def points(options: PointsOptions, call: Call) -> None:
 
 
 def _show_points(moved: "MovedPoints", *, verbose: bool) -> None:
-    from camcal.report.transform import lines
+    from camcal.report.rig import transform_lines
 
-    for line in lines(moved.transform, None, verbose=verbose):
+    for line in transform_lines(moved.transform, None, verbose=verbose):
         show.text(line)
     also = [word for word, has in (("normals", moved.normals), ("covariances", moved.covariances)) if has]
     show.text(f"{moved.count} points{' with ' + ' and '.join(also) if also else ''}")

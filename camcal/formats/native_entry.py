@@ -31,7 +31,8 @@ from typing import Any
 import numpy as np
 
 from camcal.cameras.catalogue import MODELS
-from camcal.cameras.model import Camera, CameraModel
+from camcal.cameras.lens import CameraModel
+from camcal.cameras.model import Camera
 from camcal.cameras.validity import ImageCircle
 from camcal.formats import boards, covariance
 from camcal.formats.camera_file import CalibrationNoise, CalibrationVerdict, CameraEntry, ProjectionStd, ValidRegion

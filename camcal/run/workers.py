@@ -23,7 +23,7 @@ from typing import Any, Generic, NamedTuple
 
 import numpy as np
 
-from camcal import folders, urls
+from camcal import system, urls
 from camcal.errors import ItemsFailed, translated
 from camcal.progress import Item, Outcome, Value
 from camcal.run.process import ended_by, heed_parent, worker_environment
@@ -120,7 +120,7 @@ class _Worker:
     def __init__(self, payload: Payload) -> None:
         context = multiprocessing.get_context("spawn")
         self.pipe, theirs = context.Pipe()
-        own = theirs, payload, urls.REMOTE.get(), folders.KNOWN.get()
+        own = theirs, payload, urls.REMOTE.get(), system.KNOWN.get()
         self.process = context.Process(target=_serve, args=own, daemon=True)
         self.ready = False
         self.task: tuple[int, Any] | None = None
@@ -273,11 +273,11 @@ def _stop(workers: list[_Worker]) -> None:
         worker.process.close()
 
 
-def _serve(pipe: Connection, payload: Payload, remote: urls.Remote | None, known: folders.Known) -> None:
+def _serve(pipe: Connection, payload: Payload, remote: urls.Remote | None, known: system.Known) -> None:
     """Work in a worker process: take an item from the pipe, answer, until the pipe closes."""
     heed_parent()
     urls.REMOTE.set(remote)
-    folders.KNOWN.set(known)
+    system.KNOWN.set(known)
     threading.Thread(target=_leave_with_parent, args=(payload,), daemon=True).start()
     with suppress(EOFError, OSError):
         try:

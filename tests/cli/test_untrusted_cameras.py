@@ -13,7 +13,7 @@ from camcal.formats.camera_file import CalibrationVerdict, CameraEntry, CameraFi
 from camcal.geometry.pose import Pose
 from camcal.images.files import save
 from camcal.quality.projection_uncertainty import KnownRegion
-from camcal.report.uncertain import region_words
+from camcal.report.table import region_words
 
 SIZE = (160, 120)
 LENS = Camera(model_named("pinhole"), SIZE, np.array([150.0, 150.0, 79.5, 59.5]))

@@ -21,9 +21,9 @@ import pytest
 from camcal.errors import FileError, InvalidInput, ItemsFailed
 from camcal.messages import Message
 from camcal.progress import Outcome
-from camcal.run.fanout import fan_out, over_threads
+from camcal.run.fanout import fan_out
 from camcal.run.options import BatchOptions
-from camcal.run.process import available_cores
+from camcal.run.process import available_cores, over_threads
 
 WAYS = [
     pytest.param({"jobs": 1}, id="inline"),
@@ -358,7 +358,8 @@ LIMITED = """
 import sys, threading
 sys.path.insert(0, sys.argv[1])
 import fanout_work as work
-from camcal.run.fanout import fan_out, over_threads
+from camcal.run.fanout import fan_out
+from camcal.run.process import over_threads
 threading.stack_size(1 << 46)  # no thread can start: there is no room for what it asks for
 for way in ({}, {"processes": True}):
     print([outcome.value for outcome in fan_out(work.doubled, range(4), jobs=2, **way)])

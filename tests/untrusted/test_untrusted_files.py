@@ -20,7 +20,7 @@ from camcal.formats import detections
 from camcal.formats.covariance import why_no_covariance
 from camcal.formats.documents import parse_json
 from camcal.formats.tables import MAX_LINES, Table, cell, csv_rows, numbered_lines
-from camcal.formats.trajectories.table import read_lines
+from camcal.formats.trajectories import read_lines
 from camcal.images.files import load, save
 from camcal.images.options import VARIABLE
 from camcal.parsing import is_number, parse_integer

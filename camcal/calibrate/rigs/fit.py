@@ -25,7 +25,8 @@ from camcal.calibrate.rigs.estimator import RigEstimate, estimate_rig
 from camcal.calibrate.rigs.links import CameraPoses, Placed, best_turns_of_captures, composed, motions, turned
 from camcal.calibrate.rigs.problem import LensPrior, RigProblem, RigState
 from camcal.calibrate.shape import hold_to_print
-from camcal.cameras.model import Camera, CameraModel
+from camcal.cameras.lens import CameraModel
+from camcal.cameras.model import Camera
 from camcal.cameras.refit import refit
 from camcal.cameras.reprojection import by_pose
 from camcal.errors import InsufficientData

@@ -6,7 +6,7 @@ from typing import Any
 
 from camcal import files
 from camcal.errors import CamcalError, InvalidInput
-from camcal.formats import boards, emit, kalibr_target, provenance
+from camcal.formats import boards, emit, provenance
 from camcal.formats.boards import short_form
 from camcal.progress import SILENT, Progress
 from camcal.run.outputs import claim, overwrites, writes
@@ -102,7 +102,7 @@ def _target(options: SheetOptions, board: Board) -> str:
     path = options.kalibr
     if path is None:
         return ""
-    text = kalibr_target.text_of(board)
+    text = boards.kalibr_text(board)
     if path.resolve() in (options.output.resolve(), options.board_file.resolve()):
         raise InvalidInput("is another output; choose another name for the Kalibr file", where=str(path))
     return text

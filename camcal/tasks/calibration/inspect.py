@@ -14,7 +14,7 @@ from camcal.formats import cameras, documents, emit, native
 from camcal.formats.camera_file import CameraEntry, CameraFile
 from camcal.formats.provenance import image_counts
 from camcal.parsing import did_you_mean
-from camcal.report.uncertain import held_by_prior_words, length_unit, projection_words, value_and_std
+from camcal.report.table import held_by_prior_words, length_unit, projection_words, value_and_std
 from camcal.run.outputs import writes
 from camcal.targets.board import CLASSES, RATIOS, Surface
 from camcal.tasks.options import InspectOptions

@@ -17,7 +17,7 @@ from camcal.geometry.frame_graph import evaluate as evaluate_product
 from camcal.geometry.pose import Derived, Key, NamedTransform
 from camcal.messages import Message
 from camcal.progress import SILENT, Progress
-from camcal.report.transform import plain, plain_loop
+from camcal.report.rig import plain, plain_loop
 from camcal.run.outputs import writes
 from camcal.run.pose_sources import read_transforms
 from camcal.tasks.frames.options import ChainOptions, ExpressionOptions, Output, PosesOptions

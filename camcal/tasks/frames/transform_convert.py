@@ -16,7 +16,7 @@ from camcal.geometry.pose import NamedTransform, Trajectory, carried, frames_of,
 from camcal.messages import Message
 from camcal.parsing import did_you_mean
 from camcal.progress import SILENT, Progress
-from camcal.report.transform import plain
+from camcal.report.rig import plain
 from camcal.run.outputs import writes
 from camcal.run.pose_sources import files_of, read_transforms, split_name
 from camcal.tasks.frames.options import ConvertOptions, Output

@@ -8,14 +8,14 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.errors import InvalidInput
-from camcal.formats import point_table, pointclouds
-from camcal.formats.point_table import PointTable
+from camcal.formats import correspondences, pointclouds
+from camcal.formats.correspondences import PointTable
 from camcal.formats.pointclouds.record import MILLIMETRES, PointCloudFile, cloud_of
 from camcal.formats.pose_text import form_of
 from camcal.geometry.pose import NamedTransform, point_jacobian
 from camcal.messages import Message
 from camcal.progress import SILENT, Progress
-from camcal.report.transform import plain
+from camcal.report.rig import plain
 from camcal.run.outputs import writes
 from camcal.run.pose_sources import read_one
 from camcal.stereo.points.frames import METRES, NORMAL, POSITION, VertexStream
@@ -61,9 +61,9 @@ def document(moved: MovedPoints) -> dict[str, Any]:
 
 
 def _table(options: PointsOptions, transform: NamedTransform, _: Progress) -> MovedPoints:
-    found = point_table.read(options.points)
+    found = correspondences.read_point_table(options.points)
     moved = _move(found, transform, _PER_METRE[options.unit])
-    point_table.write(options.output, moved)
+    correspondences.write_point_table(options.output, moved)
     return MovedPoints(
         transform, len(moved.points), moved.normals is not None, moved.covariances is not None, options.output
     )

@@ -17,7 +17,7 @@ from camcal.geometry.pose import NamedTransform, Pose, frames_of
 from camcal.geometry.rotation import MAX_ORTHONORMALITY_ERROR, Orthogonality, examine
 from camcal.messages import Message
 from camcal.progress import SILENT, Progress
-from camcal.report.transform import plain
+from camcal.report.rig import plain
 from camcal.run.outputs import writes
 from camcal.run.pose_sources import read_loose, read_trajectories, read_transforms
 from camcal.tasks.frames.options import AverageOptions, CheckOptions, Output

@@ -22,7 +22,7 @@ from camcal.formats.poses.record import PixelNoise, PoseKey, Poses
 from camcal.geometry.pose import Pose, inverse_jacobian
 from camcal.messages import Message, counted
 from camcal.progress import SILENT, Progress, warn_of
-from camcal.report import pose_words
+from camcal.report import track_words
 from camcal.report.overlays import Posed
 from camcal.run.journal import journal_beside
 from camcal.run.outputs import writes
@@ -283,7 +283,7 @@ def _pages(
         return []
     objects: dict[tuple[str, str | None], list[Posed]] = {}
     for pose_key, estimate in found.items():
-        words = pose_words.caption(straight, pose_key, straight.estimates[pose_key])
+        words = track_words.caption(straight, pose_key, straight.estimates[pose_key])
         for key, posed in observer.posed(observations[pose_key], estimate, words).items():
             objects.setdefault(key, []).append(posed)
     for image in {image for image, _ in objects}:

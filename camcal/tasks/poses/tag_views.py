@@ -20,9 +20,10 @@ from camcal.progress import SILENT, Outcome, Progress, warn_of
 from camcal.raw.reading import read_detection_image
 from camcal.run import fingerprint
 from camcal.run.fanout import fan_out
-from camcal.run.journal import Found, journaled
+from camcal.run.journal import journaled
 from camcal.run.options import DEFAULT_BATCH, BatchOptions
 from camcal.run.paths import find_media
+from camcal.run.resume import Items
 from camcal.targets.board import CHARUCO, Board
 from camcal.targets.checker.charuco import arrangements
 from camcal.targets.detect import detect, require_findable
@@ -133,7 +134,7 @@ def _search(
     timeout = None if jobs == 1 else _TIMEOUT_S
     work = partial(_look_at, family=tags.family, keep_repeated=keep_repeated)
     settings = fingerprint.of_data([fingerprint.versions(), tags.family, keep_repeated])
-    kept: Found[_Frame, _ImageMarkers] = Found(settings, _looked_at, _ImageMarkers)
+    kept: Items[_Frame, _ImageMarkers] = Items(settings, _looked_at, result=_ImageMarkers)
     found = journaled(work, looks, kept, jobs=jobs, batch=batch, what=what, progress=progress, timeout=timeout)
     return [outcome.of(_Frame(outcome.item.name)) for outcome in found]
 

@@ -44,9 +44,9 @@ from camcal.raw.options import BARE_SUFFIXES, GRAY_WORLD, HEADERLESS_SUFFIXES, N
 from camcal.raw.reading import missing_pattern, read_mosaic
 from camcal.raw.tiles import Each, one_by_one
 from camcal.run import fingerprint
-from camcal.run.fanout import over_threads
 from camcal.run.outputs import claim, writes
 from camcal.run.paths import find_images, place
+from camcal.run.process import over_threads
 from camcal.run.resume import Items, resumable
 from camcal.tasks.raw.options import NO_FILES, CorrectionFiles, DemosaicOptions, RawInput
 

@@ -15,8 +15,8 @@ from camcal.raw.names import MONO
 from camcal.raw.options import BARE_SUFFIXES, HEADERLESS_SUFFIXES
 from camcal.raw.pixel_formats import pixel_format_named
 from camcal.raw.reading import read_mosaic
-from camcal.report.letters import letters
 from camcal.report.table import Column
+from camcal.report.text_figures import letters
 from camcal.tasks.options import InspectOptions
 
 LAYOUT_COLUMNS = (Column("size"), Column("stride"), Column("format", wraps=True))

@@ -27,9 +27,9 @@ from camcal.raw.frame_facts import Widened, likely_white, low_peak, used_counts,
 from camcal.raw.level import Level, measure_level
 from camcal.raw.mosaic import Mosaic
 from camcal.raw.options import HEADERLESS_SUFFIXES
+from camcal.report.figures.curves import characterisation, sensor_plots
 from camcal.report.figures.figure import encoded
-from camcal.report.figures.sensor import characterisation, sensor_plots
-from camcal.report.uncertain import value_and_std
+from camcal.report.table import value_and_std
 from camcal.run.fanout import fan_out
 from camcal.run.outputs import writes
 from camcal.run.paths import find_images

@@ -30,7 +30,10 @@ def origin_section(provenance: Mapping[str, Any], environment: Mapping[str, str]
     rows = [["command", str(provenance.get("command", "unknown"))]]
     rows += [["created", str(provenance["created"])]] if "created" in provenance else []
     rows += [[name, version] for name, version in environment.items()]
-    rows += [[f"board {name}", _words(value)] for name, value in dict(provenance.get("board", {})).items()]
+    rows += [
+        [f"board {name}", " x ".join(map(str, value)) if isinstance(value, list) else str(value)]
+        for name, value in dict(provenance.get("board", {})).items()
+    ]
     if totals := provenance.get("image_totals"):
         rows.append(["images", f"{totals['used']} of {totals['listed']} used; SHA-256 of the list {totals['sha256']}"])
     tables = [Table.of("Program, machine and board", ("what", "value"), rows)]
@@ -42,10 +45,6 @@ def origin_section(provenance: Mapping[str, Any], environment: Mapping[str, str]
     if images:
         tables.append(Table.of("Inputs", ("file", "SHA-256"), images))
     return Section("provenance", "Provenance", list(lines), tables=tables)
-
-
-def _words(value: object) -> str:
-    return " x ".join(map(str, value)) if isinstance(value, list) else str(value)
 
 
 def repeat_section(command: str, *, again: bool = True) -> Section:

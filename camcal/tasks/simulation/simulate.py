@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from camcal import files, folders
+from camcal import files, system
 from camcal.cameras.catalogue import DEFAULT_MODEL, model_named
 from camcal.cameras.model import Camera
 from camcal.errors import CamcalError, InvalidInput
@@ -334,7 +334,7 @@ def require_own(folder: Path, truth: str) -> None:
     """Raise InvalidInput unless a folder is empty, new, or holds an earlier simulation; truth: its camera file."""
     if folder.exists() and not folder.is_dir():
         raise InvalidInput("is a file; expected a folder", where=str(folder))
-    other = folder.is_dir() and any(path.name not in (MANIFEST, folders.HELD) for path in folder.iterdir())
+    other = folder.is_dir() and any(path.name not in (MANIFEST, system.HELD) for path in folder.iterdir())
     if other and not _is_ours(folder / truth):
         raise InvalidInput("is not empty and not an earlier simulation; choose another folder", where=str(folder))
 

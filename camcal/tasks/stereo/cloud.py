@@ -17,8 +17,9 @@ from camcal.images.files import load
 from camcal.messages import Message
 from camcal.parsing import parse_number
 from camcal.progress import SILENT, Collected, Progress, values_of, warn_of
-from camcal.run.fanout import fan_out, over_threads
+from camcal.run.fanout import fan_out
 from camcal.run.paths import IMAGE_SUFFIXES, find_pairs, split_address
+from camcal.run.process import over_threads
 from camcal.stereo.disparity import Confidence
 from camcal.stereo.geometry import StereoGeometry
 from camcal.stereo.points.cloud import CloudMaker, thinned

@@ -13,7 +13,7 @@ from camcal.errors import InvalidInput
 from camcal.images.files import load
 from camcal.messages import Message
 from camcal.raw.tiles import one_by_one
-from camcal.run.fanout import over_threads
+from camcal.run.process import over_threads
 from camcal.stereo.disparity import Confidence, Disparity, too_few
 from camcal.stereo.matching.learned import learned_disparity
 from camcal.stereo.matching.match import match_prepared, within
