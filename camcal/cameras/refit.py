@@ -10,6 +10,7 @@ from camcal.cameras.lens import CameraModel
 from camcal.cameras.model import Camera
 from camcal.errors import InsufficientData
 from camcal.solve.dense import DenseMethod, minimise_dense
+from camcal.solve.least_squares import minimise
 from camcal.solve.steps import Block, Jacobian, Step
 
 _FITTED, _CHECKED = 31, 101  # rays a side of the image
@@ -48,7 +49,7 @@ def fit_lens(model: CameraModel, rays: Array, pixels: Array, start: Array) -> Ar
     lens has no image of one of them at the start (K,).
     """
     problem = _Refit(model, rays, pixels)
-    return None if problem.blocks(start) is None else minimise_dense(problem, start, DenseMethod()).state
+    return None if problem.blocks(start) is None else minimise(problem, start).state
 
 
 def _judged(camera: Camera, fitted: Camera) -> Refit:

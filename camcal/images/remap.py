@@ -149,7 +149,7 @@ def build_maps(
     width, height = view.image_size
     x, y = np.empty((2, height, width), np.float32)
     for rows, band in exact_bands(trace) if interpolation == NEAREST_TRUNCATE else bands(trace):
-        x[rows], y[rows] = _settle(band, source.image_size, interpolation)
+        x[rows], y[rows] = _keep_inside(band, source.image_size, interpolation)
     x.setflags(write=False)
     y.setflags(write=False)
     return Maps(x, y, source.image_size, interpolation)
@@ -190,7 +190,7 @@ def _round_band(band: Array, interpolation: str) -> Array:
     return np.floor(band + _POSITION_TOLERANCE, out=band) if interpolation == NEAREST_TRUNCATE else band
 
 
-def _settle(band: Array, source_size: tuple[int, int], interpolation: str) -> Array:
+def _keep_inside(band: Array, source_size: tuple[int, int], interpolation: str) -> Array:
     """Return positions (2, rows, W) rounded where asked for, on the border if a hair outside, else far outside."""
     band = _round_band(band, interpolation)
     largest = np.array(source_size, band.dtype)[:, None, None] - 1

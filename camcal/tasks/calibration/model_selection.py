@@ -103,7 +103,9 @@ def select(
         except _FAILURES as error:
             failure = failure or error
             continue
-        found = Selection(calibration, assess(calibration, circle, order), candidates)
+        # without their fits, which hold all that was estimated
+        named = tuple(replace(candidate, fit=None) for candidate in candidates)
+        found = Selection(calibration, assess(calibration, circle, order), named)
         if taken is None or found.assessment.trustworthy:
             taken = _with_reason(found, order[0].name, failure if taken is None else None)
         if found.assessment.trustworthy:
