@@ -46,17 +46,20 @@ def gone(pid: int, within_s: float = 5.0) -> bool:
 
 
 def children() -> list[int]:
-    """Return the worker processes of this one; the resource tracker of multiprocessing lives on by design."""
-    found = []
+    """Return the worker processes of this one: the children of the server that forks them. It and the resource tracker
+    of multiprocessing live on by design.
+    """
+    parents, servers = {}, set()
     for stat in Path("/proc").glob("[0-9]*/stat"):
         try:
-            parent = int(stat.read_text().rpartition(")")[2].split()[1])
+            process, parent = int(stat.parent.name), int(stat.read_text().rpartition(")")[2].split()[1])
             command = (stat.parent / "cmdline").read_text()
         except (FileNotFoundError, ProcessLookupError):
             continue
-        if parent == os.getpid() and "spawn_main" in command:
-            found.append(int(stat.parent.name))
-    return found
+        parents[process] = parent
+        if parent == os.getpid() and "forkserver" in command:
+            servers.add(process)
+    return [process for process, parent in parents.items() if parent in servers]
 
 
 class Recorder:
