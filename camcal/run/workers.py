@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
-from typing import Any, Generic, NamedTuple
+from typing import Any, Generic, Literal, NamedTuple
 
 import numpy as np
 
@@ -36,7 +36,9 @@ _LARGE = 1 << 16  # bytes of an array that is mapped and not copied to every wor
 _ALIGNMENT = 64  # bytes, a line of the processor's cache
 # Processes are forked from a server that has imported what its parent had: they start in no time, and those of a later
 # fan-out too.
-_START = "forkserver" if "forkserver" in multiprocessing.get_all_start_methods() else "spawn"
+_START: Literal["forkserver", "spawn"] = (
+    "forkserver" if "forkserver" in multiprocessing.get_all_start_methods() else "spawn"
+)
 _LONGEST_WAIT = 3600.0  # seconds that a system's call surely takes
 
 
