@@ -1,5 +1,6 @@
 """What every test may use: the shared real data, processes that do not outlive it, and quick randomised searches."""
 
+import gc
 import os
 import signal
 import subprocess
@@ -25,10 +26,17 @@ settings.load_profile("camcal")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Count every test of real data among the slow ones."""
+    """Count every test of real data among the slow ones, and put these first: no process ends with a long one."""
     for item in items:
         if "real_data" in getattr(item, "fixturenames", ()):
             item.add_marker(pytest.mark.slow)
+    items.sort(key=lambda item: item.get_closest_marker("slow") is None)
+
+
+def pytest_collection_finish() -> None:
+    """Spare the collector of garbage what stays to the end: modules and thousands of tests."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.fixture(scope="session")

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
-from typing import Any, Generic, Literal, NamedTuple
+from typing import Any, Generic, NamedTuple
 
 import numpy as np
 
@@ -36,9 +36,8 @@ _LARGE = 1 << 16  # bytes of an array that is mapped and not copied to every wor
 _ALIGNMENT = 64  # bytes, a line of the processor's cache
 # Processes are forked from a server that has imported what its parent had: they start in no time, and those of a later
 # fan-out too.
-_START: Literal["forkserver", "spawn"] = (
-    "forkserver" if "forkserver" in multiprocessing.get_all_start_methods() else "spawn"
-)
+_SERVED = "forkserver" in multiprocessing.get_all_start_methods()
+_CONTEXT = multiprocessing.get_context("forkserver") if _SERVED else multiprocessing.get_context("spawn")
 _LONGEST_WAIT = 3600.0  # seconds that a system's call surely takes
 
 
@@ -124,8 +123,7 @@ class _Worker:
     """A process, its pipe, and the item it is at."""
 
     def __init__(self, payload: Payload) -> None:
-        context = multiprocessing.get_context(_START)
-        self.pipe, theirs = context.Pipe()
+        self.pipe, theirs = _CONTEXT.Pipe()
         self.ready = False
         self.task: tuple[int, Any] | None = None
         self.deadline = float("inf")
@@ -133,7 +131,7 @@ class _Worker:
             resource_tracker.ensure_running()
         with worker_environment(needs_main=b"__main__" in payload.message):
             own = theirs, payload, dict(os.environ), urls.REMOTE.get(), system.KNOWN.get()
-            self.process = context.Process(target=_serve, args=own, daemon=True)
+            self.process = _CONTEXT.Process(target=_serve, args=own, daemon=True)
             self.process.start()
         theirs.close()
 
@@ -178,9 +176,9 @@ class WorkerPool(Generic[Item, Value]):
     def outcomes(self) -> Generator[Outcome[Item, Value]]:
         """Yield the outcomes in the order of the items; the workers are gone when this ends, however it ends."""
         self.payload = Payload.of(self.function)
-        if _START == "forkserver":
+        if _SERVED:
             ours = sorted(name for name in sys.modules if name.partition(".")[0] == __name__.partition(".")[0])
-            multiprocessing.get_context(_START).set_forkserver_preload(ours)
+            _CONTEXT.set_forkserver_preload(ours)
         try:
             for position in itertools.count():
                 while position not in self.finished:

@@ -531,7 +531,7 @@ def test_a_bent_board_that_is_held_flat_is_the_cause_that_is_named(bow_m, choose
         assert re.match(words, found.failures[0].text)
         codes = [message.code for message in found.messages]
     assert codes == ["board_not_flat"]
-    assert solve(views, scene.board, replace(OPTIONS, shape=ShapeOptions())).assessment.trustworthy
+    assert solve(views, scene.board, replace(OPTIONS, shape=ShapeOptions()), choose=choose).assessment.trustworthy
 
 
 def test_a_board_that_is_flat_is_no_cause():

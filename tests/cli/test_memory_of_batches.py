@@ -13,7 +13,8 @@ import pytest
 from camcal.cli.main import app
 
 BOARD = "chessboard:9x6:25mm"
-FEW, MANY = 6, 30
+FEW, MANY = 4, 16
+THREADED = 6, 30  # what threads hold of their images at once by chance is less than the records of these may take
 PER_ITEM = 40_000  # bytes; the smallest image here has 76 800 pixels
 TRIES = 3  # threads hold more or less of their images at once, by chance
 
@@ -80,19 +81,20 @@ def peak_of(command: str, places: dict[str, Path], output: Path) -> int:
 
 @pytest.mark.parametrize("command", COMMANDS.values(), ids=COMMANDS.keys())
 def test_memory_does_not_grow_by_the_pixels_of_the_images(made, tmp_path, command):
-    few, many = (repeated(made, tmp_path / str(count), count) for count in (FEW, MANY))
+    counts = THREADED if "--jobs 2" in command else (FEW, MANY)
+    few, many = (repeated(made, tmp_path / str(count), count) for count in counts)
     peak_of(command, few, tmp_path / "first")  # what is imported and kept by then
     grown = [
         peak_of(command, many, tmp_path / f"many{number}") - peak_of(command, few, tmp_path / f"few{number}")
         for number in range(TRIES if "--jobs 2" in command else 1)
     ]
-    assert min(grown) < PER_ITEM * (MANY - FEW)
+    assert min(grown) < PER_ITEM * (counts[1] - counts[0])
 
 
 def test_figures_of_maps_are_drawn_one_after_another(made, tmp_path):
-    few, many = (repeated(made, tmp_path / str(count), count) for count in (2, 4))
+    few, many = (repeated(made, tmp_path / str(count), count) for count in (1, 3))
     command = "stereo eval {maps} {maps} --figures {out}"
     peak_of(command, few, tmp_path / "first")
     grown = peak_of(command, many, tmp_path / "many") - peak_of(command, few, tmp_path / "few")
     assert grown < 2 * 320 * 240 * 4  # the maps of two pairs, of which each figure would keep its own copy
-    assert len(list((tmp_path / "many").glob("*.png"))) == 12
+    assert len(list((tmp_path / "many").glob("*.png"))) == 9

@@ -144,7 +144,7 @@ def test_a_report_of_images_is_repeated_without_them(run, here):
         run("simulate", "chessboard:9x6:25mm", "-o", "scene", "--views", 10, "--size", "640x480", "--seed", 5)[0] == 0
     )
     words = ("--board", "scene/board.yaml", "-o", "camera.yaml", "--report", "report.html")
-    assert run("calibrate", "scene/images", *words)[0] == 0
+    assert run("calibrate", "scene/images", *words, *QUICK, "--jobs", 1)[0] == 0
     page = Path("report.html").read_text(encoding="utf-8")
     assert page.count("data-photo=") == 10
     for image in Path("scene/images").iterdir():

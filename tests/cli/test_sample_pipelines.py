@@ -79,10 +79,10 @@ def test_a_sample_pipeline_runs_and_is_up_to_date_afterwards(name, run, tmp_path
     scene, options = SCENES[name]
     scene(run)
     shutil.copy(PIPELINES / f"{name}.yaml", tmp_path)
-    code, out, err = run("run", f"{name}.yaml", *options, "--json")
+    code, out, err = run("run", f"{name}.yaml", *options, "--jobs", "1", "--json")
     document = json.loads(out)
     assert (code, document["counts"]["done"]) == (0, len(document["steps"])), err
-    code, out, _ = run("run", f"{name}.yaml", *options, "--json")
+    code, out, _ = run("run", f"{name}.yaml", *options, "--jobs", "1", "--json")
     assert (code, json.loads(out)["counts"]["up_to_date"]) == (0, len(document["steps"]))
 
 
@@ -93,7 +93,7 @@ def test_the_gate_stops_what_comes_after_it(run, tmp_path, monkeypatch):
     for image in sorted(Path("photos").iterdir())[3:]:
         image.unlink()
     shutil.copy(PIPELINES / "gate.yaml", tmp_path)
-    code, out, _ = run("run", "gate.yaml", "--set", "max_uncertainty=0.0001", "--json")
+    code, out, _ = run("run", "gate.yaml", "--set", "max_uncertainty=0.0001", "--jobs", "1", "--json")
     states = {each["step"]: (each["state"], each["exit"]) for each in json.loads(out)["steps"]}
     assert (code, states) == (7, {"calibrate": ("failed", 7), "release": ("not_run", 0)})
 

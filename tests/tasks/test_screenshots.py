@@ -13,6 +13,7 @@ from camcal.tasks.calibration.options import CalibrateOptions
 
 BOARD = parse_board("chessboard:9x6:25mm")
 SIZE = (480, 640)
+QUICK = {"model": "opencv4", "refine": False}
 
 
 def write(folder, stretch=1.0, noise=0.0, suffix="png", quality=95):
@@ -34,19 +35,19 @@ def write(folder, stretch=1.0, noise=0.0, suffix="png", quality=95):
     return folder
 
 
-def refusal(folder):
+def refusal(folder, **options):
     with pytest.raises(InsufficientData) as raised:
-        calibrate(CalibrateOptions((str(folder),), board=BOARD, jobs=1))
+        calibrate(CalibrateOptions((str(folder),), board=BOARD, jobs=1, **options))
     return raised.value
 
 
 @pytest.mark.parametrize(
-    ("how", "levels"),
-    [({}, {2}), ({"suffix": "jpg", "quality": 70}, {3, 4, 5}), ({"stretch": 1.01}, {2})],
+    ("how", "options", "levels"),
+    [({}, {}, {2}), ({"suffix": "jpg", "quality": 70}, QUICK, {3, 4, 5}), ({"stretch": 1.01}, QUICK, {2})],
     ids=["exact", "JPEG", "slightly stretched"],
 )
-def test_screenshots_are_named(tmp_path, how, levels):
-    error = refusal(write(tmp_path, **how))
+def test_screenshots_are_named(tmp_path, how, options, levels):
+    error = refusal(write(tmp_path, **how), **options)
     assert [failure.code for failure in error.failures] == ["screenshots"]
     found = error.failures[0].values["gray_levels"]
     assert found in levels
@@ -58,7 +59,7 @@ def test_screenshots_are_named(tmp_path, how, levels):
 
 @pytest.mark.parametrize("how", [{"noise": 1.0}, {"stretch": 1.02}], ids=["noise", "not as drawn"])
 def test_frontal_views_with_noise_or_of_another_shape_are_not(tmp_path, how):
-    assert str(refusal(write(tmp_path, **how))).startswith("nearly parallel views")
+    assert str(refusal(write(tmp_path, **how), **QUICK)).startswith("nearly parallel views")
 
 
 def test_photographs_have_more_gray_levels(real_data):

@@ -37,10 +37,13 @@ def test_damaged_texts_end_in_one_line_and_a_documented_exit(tmp_path, monkeypat
 @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="memory is limited as Linux does")
 def test_damaged_files_end_in_one_line_and_a_documented_exit():
     done = subprocess.run(
-        [sys.executable, HARNESS, "--cases", "600", "--seed", "11"], capture_output=True, text=True, check=False
+        [sys.executable, HARNESS, "--cases", str(2 * CASES), "--seed", "11"],
+        capture_output=True,
+        text=True,
+        check=False,
     )
     assert done.returncode == 0, done.stdout + done.stderr
-    assert "600 cases, 0 violations" in done.stdout
+    assert f"{2 * CASES} cases, 0 violations" in done.stdout
 
 
 @pytest.mark.slow

@@ -49,28 +49,31 @@ def rig_of(projection, upright):
     return CalibratedPair(left, right, pose, factor @ factor.T, *axes), geometry
 
 
-def depth_of(pair, geometry, pixels, upright):
-    """Return the points (3,) in the left camera that pixels of the two cameras are rectified and matched to."""
+def points_of(pair, geometry, pixels, upright):
+    """Return the points (N, 3) in the left camera that pixels (N, 2) of each camera are rectified and matched to."""
     axes = axes_of(pair.right_T_left)
     left, right = (
-        turn @ camera.unproject(pixel[None]).directions[0]
-        for turn, camera, pixel in zip(axes, (pair.left, pair.right), pixels, strict=True)
+        camera.unproject(seen).directions @ turn.T
+        for turn, camera, seen in zip(axes, (pair.left, pair.right), pixels, strict=True)
     )
-    radii = [ray[2] if geometry.projection == PINHOLE else np.hypot(ray[1], ray[2]) for ray in (left, right)]
-    columns = [ray[0] / radius for ray, radius in zip((left, right), radii, strict=True)]
+    radii = [
+        rays[:, 2] if geometry.projection == PINHOLE else np.hypot(rays[:, 1], rays[:, 2]) for rays in (left, right)
+    ]
+    columns = [rays[:, 0] / radius for rays, radius in zip((left, right), radii, strict=True)]
     depth = np.linalg.norm(pair.right_T_left.translation) / (columns[0] - columns[1])
-    return axes[0].T @ (left / radii[0] * depth)
+    return (left / radii[0][:, None] * depth[:, None]) @ axes[0]
 
 
 def drawn(pair, rng):
-    step = rng.multivariate_normal(np.zeros(len(pair.covariance)), pair.covariance)
+    """Yield pairs whose parameters are drawn from the covariance of a pair."""
     first, second = len(pair.left.parameters), len(pair.right.parameters)
-    cameras = [
-        Camera(camera.model, SIZE, camera.parameters + part)
-        for camera, part in zip((pair.left, pair.right), (step[:first], step[first : first + second]), strict=True)
-    ]
     axes = pair.rect_R_left, pair.rect_R_right
-    return CalibratedPair(*cameras, pair.right_T_left.retract(step[first + second :]), pair.covariance, *axes)
+    for step in rng.multivariate_normal(np.zeros(len(pair.covariance)), pair.covariance, DRAWS):
+        cameras = [
+            Camera(camera.model, SIZE, camera.parameters + part)
+            for camera, part in zip((pair.left, pair.right), (step[:first], step[first : first + second]), strict=True)
+        ]
+        yield CalibratedPair(*cameras, pair.right_T_left.retract(step[first + second :]), pair.covariance, *axes)
 
 
 @pytest.mark.slow
@@ -79,16 +82,15 @@ def drawn(pair, rng):
 def test_drawn_calibrations_scatter_the_depth_as_predicted(projection, upright):
     pair, geometry = rig_of(projection, upright)
     predicted = calibration_error(pair, geometry, SIZE)
-    rng = np.random.default_rng(1)
-    for pixel, distance in (((80, 120), 1.0), ((320, 240), 3.0), ((560, 400), 4.0)):
-        columns, rows = geometry.rays(SIZE[::-1])
-        ray = columns[:, pixel[0]] + rows[:, pixel[1]]
-        point = pair.rect_R_left.T @ ray * distance
-        seen = (pair.left, point), (pair.right, pair.right_T_left.apply(point))
-        pixels = [camera.project(there[None]).pixels[0] for camera, there in seen]
+    places, distances = np.array([(80, 120), (320, 240), (560, 400)]), np.array([1.0, 3.0, 4.0])
+    columns, rows = geometry.rays(SIZE[::-1])
+    rays = columns[:, places[:, 0]].T + rows[:, places[:, 1]].T
+    points = rays * distances[:, None] @ pair.rect_R_left
+    pixels = [pair.left.project(points).pixels, pair.right.project(pair.right_T_left.apply(points)).pixels]
+    found = np.array([points_of(own, geometry, pixels, upright) for own in drawn(pair, np.random.default_rng(1))])
+    for index, (pixel, distance, ray) in enumerate(zip(places, distances, rays, strict=True)):
         outwards = ray * (0, 0, 1) if projection == PINHOLE else ray * ((1, 0, 1) if upright else (0, 1, 1))
-        found = [depth_of(drawn(pair, rng), geometry, pixels, upright) for _ in range(DRAWS)]
-        depths = np.array(found) @ pair.rect_R_left.T @ outwards
+        depths = found[:, index] @ pair.rect_R_left.T @ outwards
         parallax = geometry.scale / distance
         tangent = ray[1 if upright else 0] - parallax / geometry.focal
         effective = parallax / (1 + tangent**2) if projection == LATLON else parallax
