@@ -8,7 +8,7 @@ import numpy as np
 
 from camcal.arrays import Array, readonly
 from camcal.errors import InsufficientData
-from camcal.geometry.axes import rotation_of
+from camcal.geometry.pose import rotation_of
 from camcal.stereo.points.frames import COLOUR, INTENSITY, POSITION, SIGMA, VertexStream
 
 _NEAREST = 1e-12  # of a depth that tangents are taken at

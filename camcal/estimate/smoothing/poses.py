@@ -27,7 +27,7 @@ from camcal.estimate.smoothing.batch import (
     solve_batch,
 )
 from camcal.estimate.smoothing.linear_system import LinearSystem, MotionModel, Smoothed, kalman_filter, rts
-from camcal.estimate.smoothing.tuning import (
+from camcal.estimate.smoothing.series import (
     KnownSmootherNoise,
     SmootherNoise,
     likeliest_noise,

@@ -11,9 +11,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.estimate.tracking.free_motion import MotionState, ObjectPlane
+from camcal.estimate.tracking.frames import frame_minima
+from camcal.estimate.tracking.measurements import ObjectPlane
+from camcal.estimate.tracking.motion import MotionState
 from camcal.estimate.tracking.pixel_batch import Chains, solved, spread_of
-from camcal.estimate.tracking.pixel_costs import minimised
 from camcal.estimate.tracking.process_noise import NoiseFit
 from camcal.geometry import rotation as so3
 
@@ -159,8 +160,8 @@ def _trials(found: NoiseFit, flat: ObjectPlane) -> _Trials | None:
     track = found.track
     chains = track.chains
     rotations, translations = track.poses
-    least = minimised(chains.frames, *flat.mirrored(rotations, translations))[2]
-    own = minimised(chains.frames, rotations, translations)[2]
+    least = frame_minima(chains.frames, *flat.mirrored(rotations, translations))
+    own = frame_minima(chains.frames, rotations, translations)
     worse = np.where(chains.used, least - own, 0.0)
     runs = _runs(_cuts(found, flat), worse, len(own))
     if not runs:

@@ -12,12 +12,11 @@ from camcal.errors import InsufficientData, InvalidInput
 from camcal.estimate.poses.records import Correspondences
 from camcal.estimate.smoothing.kalman import AMBIGUOUS, Consistency, consistency, successive
 from camcal.estimate.tracking.flips import FAR
-from camcal.estimate.tracking.free_motion import FreeMotion, ObjectPlane
-from camcal.estimate.tracking.jitter import Jitter, JitterStd, jitter
-from camcal.estimate.tracking.measurements import LEAST, FramePose, GateOptions, PoseMeasurements
+from camcal.estimate.tracking.frames import PoseFrames
+from camcal.estimate.tracking.measurements import LEAST, FramePose, GateOptions, ObjectPlane, PoseMeasurements
+from camcal.estimate.tracking.motion import FreeMotion
 from camcal.estimate.tracking.pixel_track import PixelTrack, follow_frames, pixel_frames, usual_distance
-from camcal.estimate.tracking.pose_costs import PoseFrames, mirror_plane
-from camcal.estimate.tracking.process_noise import ProcessNoise
+from camcal.estimate.tracking.process_noise import Jitter, JitterStd, ProcessNoise, jitter
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose, inverse_jacobian
 from camcal.messages import Message
@@ -157,7 +156,7 @@ def track_poses(
     followed = follow_frames(
         PoseFrames.of(measurements, unknown, options.following.gate),
         measurements,
-        mirror_plane(measurements),
+        ObjectPlane.of_mirrored(measurements),
         noise=options.noise,
         lag=options.lag,
         max_gap=options.following.max_gap,
@@ -185,7 +184,7 @@ def track_views(
     followed = follow_frames(
         frames,
         measurements,
-        ObjectPlane.of(frames),
+        ObjectPlane.of_points(frames.points[frames.there]),
         sigma=None if noise_px else sigma,
         noise=options.noise,
         lag=options.lag,
