@@ -109,16 +109,13 @@ def _moments(
         states = se3.retract(states, step)
     offsets = np.repeat(offsets, nodes, axis=0)
     placed, about = se3.shifted(states, offsets), se3.shifted(start, offsets)
-    away = np.concatenate([placed[:, :, 3] - about[:, :, 3], _turn(placed, about)], axis=1)
+    turn = so3.log(placed[:, :, :3] @ about[:, :, :3].transpose(0, 2, 1))
+    away = np.concatenate([placed[:, :, 3] - about[:, :, 3], turn], axis=1)
     second = away[:, :, None] * away[:, None, :] + _moved(sigma**2 * across, states, offsets)
     second = _moved(second, about, -offsets)
     weights = _weights(density.reshape(count, nodes))
     counted = np.where(weights[:, :, None, None] != 0, second.reshape(count, nodes, 6, 6), 0.0)
     return np.asarray(np.einsum("sk,skij->sij", weights, counted))
-
-
-def _turn(states: Array, start: Array) -> Array:
-    return so3.log(states[:, :, :3] @ start[:, :, :3].transpose(0, 2, 1))
 
 
 def _across(models: Models, free: Array, sigma: float) -> tuple[Array, Array, Array]:
@@ -279,7 +276,11 @@ class PoseQuality:
 
     def _figures(self, best: Minima) -> list["_Figures"]:
         flatness = self.extents.flatness[self.problems.view]
-        tilts = _tilts(self.problems, self.extents, best.states)
+        # of the planes' normals against the lines of sight from the first camera with points
+        tilts = np.full(len(best.states), np.nan)
+        for packed, mask in zip(self.problems.packed_views, self.problems.masks, strict=True):
+            chosen = np.isnan(tilts) & mask.any(axis=1)
+            tilts[chosen] = self.extents.tilt(best.states[chosen], self.problems.view[chosen], packed.eye)
         eigenvalues = scaled_eigenvalues(best.models.normal)
         columns = flatness, _least_depths(self.problems, best.states), eigenvalues[:, -1] / eigenvalues[:, 0], tilts
         rows = zip(*(column.tolist() for column in columns), strict=True)
@@ -359,15 +360,6 @@ def _least_depths(problems: PoseProblems, states: Array) -> Array:
         depth += camera_T_object[:, 2, 3:]
         least = np.minimum(least, np.where(mask, depth, np.inf).min(axis=1))
     return least
-
-
-def _tilts(problems: PoseProblems, extents: Extents, states: Array) -> Array:
-    """Return the angles (P,) between the planes' normals and the lines of sight from the first camera with points."""
-    tilts = np.full(len(states), np.nan)
-    for packed, mask in zip(problems.packed_views, problems.masks, strict=True):
-        chosen = np.isnan(tilts) & mask.any(axis=1)
-        tilts[chosen] = extents.tilt(states[chosen], problems.view[chosen], packed.eye)
-    return tilts
 
 
 def region_quantile(probability: float, dof: int | None, dimensions: int = 6) -> float:

@@ -166,7 +166,8 @@ def _trials(found: NoiseFit, flat: ObjectPlane) -> _Trials | None:
     runs = _runs(_cuts(found, flat), worse, len(own))
     if not runs:
         return None
-    bounds = _chain_bounds(chains)
+    breaks = np.flatnonzero(~chains.linked) + 1
+    bounds = np.concatenate([[0], breaks, [len(chains.used)]])
     windows = np.array([_window(run, bounds) for run in runs])
     rows = np.concatenate([np.arange(first, last) for first, last in windows])
     offsets = np.concatenate([[0], np.cumsum(windows[:, 1] - windows[:, 0])])
@@ -215,11 +216,6 @@ def _runs(cuts: Array, worse: Array, count: int) -> list[tuple[int, int]]:
             break
         kept.append(run)
     return kept
-
-
-def _chain_bounds(chains: Chains) -> Array:
-    breaks = np.flatnonzero(~chains.linked) + 1
-    return np.concatenate([[0], breaks, [len(chains.used)]])
 
 
 def _window(run: tuple[int, int], bounds: Array) -> tuple[int, int]:

@@ -146,7 +146,8 @@ def solved(
     damping = np.full(len(terms.costs), _STOPPING.damping)
     going = np.ones(len(terms.costs), dtype=bool)
     for _ in range(iterations):
-        step = _step(terms, damping[chains.judged], going[chains.judged])
+        step = -_factor(terms, damping[chains.judged]).solve(terms.gradient)
+        step = np.where(going[chains.judged][:, None], step, 0.0)
         moved = states.moved(step)
         pulled = _pulled(chains, pulls, step, terms)
         tried = _linearised(chains, motion, links, moved, pulled, start)
@@ -237,11 +238,6 @@ def _linearised(
     every = np.arange(size)
     blocks[:, every, every] += chains.anchors
     return _Terms(chains.sums(cost), total, blocks, beside, gradient, curvature)
-
-
-def _step(terms: _Terms, damping: Array, going: Array) -> Array:
-    step = -_factor(terms, damping).solve(terms.gradient)
-    return np.where(going[:, None], step, 0.0)
 
 
 def _factor(terms: _Terms, damping: Array) -> TridiagonalFactor:

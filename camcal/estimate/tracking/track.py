@@ -208,17 +208,6 @@ def require_found(poses: Sequence[FramePose | None]) -> None:
         raise InsufficientData(f"found in {found} of {len(poses)} frames (minimum {LEAST})")
 
 
-def no_track(poses: Sequence[FramePose | None]) -> InsufficientData:
-    """Return the error of detections of which no few make a piece."""
-    found = sum(pose is not None for pose in poses)
-    return InsufficientData(f"no {LEAST} of {found} detections are successive: check time stamps and --max-gap")
-
-
-def at_poses(posed: Array, values: Array) -> Array:
-    """Return values (N, …) of frames, NaN where there is no pose."""
-    return np.where(posed.reshape(-1, *(1,) * (values.ndim - 1)), values, np.nan)
-
-
 def common_part(poses: Sequence[FramePose | None]) -> Array:
     """Return the part (N, 6, 6) of the covariances that frames share, of the nearest detection where there is none."""
     places = np.array([index for index, pose in enumerate(poses) if pose is not None])
@@ -239,7 +228,8 @@ def _assembled(
 ) -> Track:
     segments = _pieces(followed, measurements.stamps, options.following.max_gap)
     if (segments < 0).all():
-        raise no_track(poses)
+        found = sum(pose is not None for pose in poses)
+        raise InsufficientData(f"no {LEAST} of {found} detections are successive: check time stamps and --max-gap")
     present, inside = measurements.present, segments >= 0
     used = followed.used & inside
     states = np.full(len(present), GAP, dtype=object)
@@ -249,7 +239,7 @@ def _assembled(
         states[inside & ~present] = PREDICTED
     posed = inside & (options.fill | used)
     rotations, translations, velocities, covariances = (
-        at_poses(posed, values)
+        np.where(posed.reshape(-1, *(1,) * (values.ndim - 1)), values, np.nan)
         for values in (followed.rotations, followed.translations, followed.velocities, followed.covariances)
     )
     turns = so3.angle_between(measurements.rotations, np.nan_to_num(rotations)[:, None])
