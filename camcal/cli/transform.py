@@ -18,10 +18,8 @@ from camcal.tasks.frames.options import (
 )
 
 if TYPE_CHECKING:
-    from camcal.tasks.frames.transform import TransformResult
-    from camcal.tasks.frames.transform_convert import Converted
-    from camcal.tasks.frames.transform_points import MovedPoints
-    from camcal.tasks.frames.transform_quality import Averaged, Checked
+    from camcal.tasks.frames.transform import Averaged, Checked, TransformResult
+    from camcal.tasks.frames.transform_convert import Converted, MovedPoints
 
 ESTIMATE_COLUMNS = (Column("pose", file=True), Column("weight"), Column("off by", "mm"), Column("off by", "deg"))
 CHECK_COLUMNS = (
@@ -141,8 +139,8 @@ def average(options: AverageOptions, call: Call) -> None:
 
     The mean of rotations is the Karcher mean, which minimises the sum of squared angles.
     """
-    from camcal.tasks.frames.transform_quality import average as run
-    from camcal.tasks.frames.transform_quality import average_document
+    from camcal.tasks.frames.transform import average as run
+    from camcal.tasks.frames.transform import average_document
 
     averaged = run(options, call.progress)
     where = options.output
@@ -166,8 +164,8 @@ def check(options: CheckOptions, call: Call) -> None:
 
     A determinant of -1 is a reflection (a flipped axis or a left-handed frame) and is never corrected.
     """
-    from camcal.tasks.frames.transform_quality import check as run
-    from camcal.tasks.frames.transform_quality import check_document, require_good
+    from camcal.tasks.frames.transform import check as run
+    from camcal.tasks.frames.transform import check_document, require_good
 
     checked = run(options, call.progress)
     where = options.output
@@ -193,10 +191,10 @@ def points(options: PointsOptions, call: Call) -> None:
     In a CSV the uncertainty of the transform is added to that of every point. It is common to all points and does not
     average out.
     """
-    from camcal.tasks.frames.transform_points import document, transform_points
+    from camcal.tasks.frames.transform_convert import points_document, transform_points
 
     moved = transform_points(options, call.progress)
-    call.give(lambda: document(moved), lambda: _show_points(moved, verbose=call.verbose))
+    call.give(lambda: points_document(moved), lambda: _show_points(moved, verbose=call.verbose))
 
 
 def _show_points(moved: "MovedPoints", *, verbose: bool) -> None:

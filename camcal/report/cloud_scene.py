@@ -10,7 +10,7 @@ import numpy as np
 
 from camcal.arrays import Array, readonly
 from camcal.errors import InsufficientData, InvalidInput
-from camcal.geometry.axes import rotation_of
+from camcal.geometry.pose import rotation_of
 from camcal.parsing import parse_numbers
 from camcal.stereo.points.frames import COLOUR, INTENSITY, POSITION, SIGMA, VertexStream
 

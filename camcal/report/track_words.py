@@ -9,7 +9,7 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.estimate.smoothing.kalman import CORRELATED, UNDERCONFIDENT, Consistency
-from camcal.estimate.tracking.jitter import Jitter
+from camcal.estimate.tracking.process_noise import Jitter
 from camcal.estimate.tracking.track import MEASURED, REJECTED, Track
 from camcal.formats.poses.record import PoseKey, PoseRecord, Poses
 from camcal.formats.trajectories.tracked import TrackedObject

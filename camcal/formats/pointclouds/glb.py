@@ -16,7 +16,7 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.errors import FileError, InvalidInput
 from camcal.formats.pointclouds.record import MILLIMETRES, PointCloudFile, blocks_of, cloud_of
-from camcal.geometry.axes import rotation_of
+from camcal.geometry.pose import rotation_of
 from camcal.raw.develop import encode
 from camcal.stereo.points.frames import COLOUR, INTENSITY, METRES, NORMAL, POSITION, SIGMA, VertexStream
 

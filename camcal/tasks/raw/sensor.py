@@ -19,7 +19,7 @@ from camcal.errors import InsufficientData, InvalidInput, Located
 from camcal.formats import emit, provenance
 from camcal.images.image import RAW_SUFFIXES
 from camcal.messages import Message
-from camcal.optics.sensor_format import pixel_pitch, sensor_format
+from camcal.optics.lens import pixel_pitch, sensor_format
 from camcal.options import command_line
 from camcal.progress import SILENT, Progress, values_of, warn_of
 from camcal.raw.emva import DECIBELS_A_STOP, FULL_WELL, Characterisation, Curve, Figure, Figures, characterise

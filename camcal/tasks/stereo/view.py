@@ -19,7 +19,7 @@ from camcal.files import read_bytes
 from camcal.formats import disparity, pointclouds
 from camcal.formats.disparity import DisparityMap
 from camcal.formats.disparity_sidecar import Sidecar
-from camcal.geometry.axes import rotation_of
+from camcal.geometry.pose import rotation_of
 from camcal.images.files import save
 from camcal.images.npy import names_in
 from camcal.progress import SILENT, Progress
