@@ -25,7 +25,7 @@ import numpy as np
 from camcal.cameras.catalogue import model_named
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
-from camcal.images.load import gray_8bit, load
+from camcal.images.files import gray_8bit, load
 from camcal.simulate.render import Exposure, render
 from camcal.simulate.scene import make_camera
 from camcal.targets.board import parse_board

@@ -30,14 +30,12 @@ from undistort import CAMERA, SIZE, photograph
 from camcal.cameras.model import Camera, resized
 from camcal.formats import native
 from camcal.formats.camera_file import CameraEntry, CameraFile
+from camcal.images.files import load, save
 from camcal.images.image import Image, Scratch
-from camcal.images.load import load
 from camcal.images.options import ViewOptions
 from camcal.images.remap import Maps, build_maps
-from camcal.images.save import save
 from camcal.images.views import make_view
-from camcal.run.fanout import one_opencv_thread
-from camcal.run.process import available_cores
+from camcal.run.process import available_cores, one_opencv_thread
 from camcal.tasks.calibration.undistort import undistort
 from camcal.tasks.calibration.undistort_options import UndistortOptions
 

@@ -28,7 +28,7 @@ from camcal.calibrate.fit import ShapeOptions
 from camcal.calibrate.intrinsics import Options, calibrate
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
-from camcal.images.save import save
+from camcal.images.files import save
 from camcal.progress import SILENT
 from camcal.raw.options import AS_IMAGES
 from camcal.simulate.render import Exposure, render

@@ -26,7 +26,7 @@ from opencv_charuco import found_by_opencv
 from camcal.arrays import Array
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
-from camcal.images.save import save
+from camcal.images.files import save
 from camcal.simulate.render import Exposure, render
 from camcal.simulate.scene import views
 from camcal.targets.board import CHARUCO, Board, parse_board

@@ -22,13 +22,14 @@ from pathlib import Path
 import numpy as np
 
 from camcal.cameras.model import Camera
-from camcal.images.save import save
+from camcal.images.files import save
 from camcal.raw.demosaic import demosaic
 from camcal.raw.options import ImageReadOptions
 from camcal.raw.reading import read_mosaic
 from camcal.simulate.mosaics import lenses
 from camcal.simulate.options import Sensor
-from camcal.tasks.calibration.calibrate import CalibrateReport, calibrate
+from camcal.tasks.calibration.calibrate import calibrate
+from camcal.tasks.calibration.camera_result import CalibrateReport
 from camcal.tasks.calibration.options import CalibrateOptions
 from camcal.tasks.simulation.options import RawOptions, SimulateOptions
 from camcal.tasks.simulation.simulate import simulate

@@ -26,7 +26,7 @@ from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
 from camcal.simulate.render import Exposure, render
 from camcal.targets.board import ASYMMETRIC_CIRCLES, Board, parse_board
-from camcal.targets.circles.circles import find_circles
+from camcal.targets.circles import find_circles
 
 SIZE, FOCAL = (1280, 960), 1000.0
 PLAIN = parse_board("circles:10x8:25mm:15mm")

@@ -30,8 +30,8 @@ import numpy as np
 from peers.cloud_peers import measured
 
 from camcal.formats import disparity, pointclouds
-from camcal.images.load import load
-from camcal.run.fanout import over_threads
+from camcal.images.files import load
+from camcal.run.process import over_threads
 from camcal.stereo.geometry import StereoGeometry
 from camcal.stereo.points.cloud import CloudMaker, normals, one_per_voxel
 from camcal.stereo.points.depth import StereoImage, row_blocks

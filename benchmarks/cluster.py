@@ -16,7 +16,7 @@ from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.formats import native
 from camcal.formats.camera_file import CameraEntry, CameraFile
-from camcal.images.save import save
+from camcal.images.files import save
 from camcal.progress import Silent
 from camcal.run.options import BatchOptions
 from camcal.tasks.calibration.undistort import undistort

@@ -24,7 +24,7 @@ from peers.opencv_corners import SECTOR_BASED, refined, sector_based
 
 from camcal import opencv
 from camcal.arrays import Array
-from camcal.images.load import gray_8bit, gray_levels
+from camcal.images.files import gray_8bit, gray_levels
 from camcal.run.fanout import fan_out
 from camcal.simulate.render import piece_length
 from camcal.targets.detect import detect

@@ -37,7 +37,7 @@ from camcal.raw.demosaic import demosaic
 from camcal.raw.dng import write_dng
 from camcal.raw.mosaic import Mosaic, sites
 from camcal.raw.options import Development
-from camcal.run.fanout import over_threads
+from camcal.run.process import over_threads
 from camcal.tasks.raw.demosaic import demosaic as demosaic_files
 from camcal.tasks.raw.options import DemosaicOptions
 

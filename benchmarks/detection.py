@@ -36,7 +36,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from hard_scenes import SCENES, photographs
 from opencv_charuco import found_by_opencv
 
-from camcal.images.load import gray_8bit, load
+from camcal.images.files import gray_8bit, load
 from camcal.run.paths import find_images
 from camcal.targets.board import CHARUCO, Board, parse_board
 from camcal.targets.checker.charuco import find_charuco

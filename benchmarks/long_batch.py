@@ -28,7 +28,7 @@ from undistort import CAMERA, photograph
 from camcal.cameras.model import resized
 from camcal.formats import native
 from camcal.formats.camera_file import CameraEntry, CameraFile
-from camcal.images.save import save
+from camcal.images.files import save
 from camcal.run.process import available_cores
 
 DIFFERENT = 8

@@ -23,7 +23,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from tagged import facing, photograph, pinhole
 
 from camcal.simulate.render import Exposure
-from camcal.targets.markers.markers import detect_markers
+from camcal.targets.markers import detect_markers
 
 FAMILY = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
 CELLS = [(side, blur) for blur in (0.5, 0.8, 1.2) for side in (20, 40, 80, 160)]

@@ -22,8 +22,8 @@ from tagged import facing, photograph, pinhole, true_corners
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.simulate.render import Exposure
-from camcal.targets.markers.families import family_named
-from camcal.targets.markers.markers import detect_markers
+from camcal.targets.markers import detect_markers
+from camcal.targets.pattern import family_named
 
 SIZE = 0.05  # m
 REFINEMENTS = ("NONE", "SUBPIX", "CONTOUR", "APRILTAG")

@@ -22,7 +22,7 @@ from real_sets import DATA, SETS
 
 from camcal.formats import native
 from camcal.formats.poses.record import Poses
-from camcal.report import pose_words
+from camcal.report import track_words
 from camcal.tasks.calibration.calibrate import calibrate
 from camcal.tasks.calibration.options import CalibrateOptions
 from camcal.tasks.poses.pnp import PnpOptions, pnp
@@ -51,7 +51,7 @@ def show(name: str, folder: Path) -> None:
     out, points = sum(len(each.outliers) for each in records), sum(each.n_points for each in records)
     error = found.model_error_px or 0.0
     row = f"{name:17}{found.sigma_px:7.3f}{error:7.3f}{scale(alone):17.2f}{scale(known):12.2f}{f'{out}/{points}':>12}"
-    print(row + ("  said" if "a-posteriori" in pose_words.noise(known) else ""), flush=True)
+    print(row + ("  said" if "a-posteriori" in track_words.noise(known) else ""), flush=True)
 
 
 def scale(poses: Poses) -> float:

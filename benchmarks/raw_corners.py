@@ -23,13 +23,12 @@ import numpy as np
 
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
-from camcal.images.load import gray_8bit
-from camcal.raw.colour import balance_in_place
+from camcal.images.files import gray_8bit
 from camcal.raw.demosaic import demosaic
-from camcal.raw.detection_image import agreeing_gains, detection_image_of
-from camcal.raw.develop import linearise
+from camcal.raw.develop import balance_in_place, linearise
 from camcal.raw.mosaic import Mosaic
 from camcal.raw.options import ImageReadOptions
+from camcal.raw.reading import agreeing_gains, detection_image_of
 from camcal.run.fanout import fan_out
 from camcal.simulate.mosaics import filter_mosaic, lenses
 from camcal.simulate.render import Exposure, evenly_lit, light

@@ -30,7 +30,7 @@ from camcal.calibrate.fit import ShapeOptions
 from camcal.calibrate.intrinsics import Calibration, Options, calibrate
 from camcal.cameras.catalogue import model_named
 from camcal.errors import CamcalError
-from camcal.images.load import gray_8bit, load
+from camcal.images.files import gray_8bit, load
 from camcal.run.fanout import fan_out
 from camcal.run.paths import find_images
 from camcal.targets.board import Board, parse_board

@@ -24,7 +24,8 @@ from real_sets import DATA
 
 from camcal.calibrate.rigs.record import Captures
 from camcal.cameras.catalogue import model_named
-from camcal.cameras.model import Camera, CameraModel
+from camcal.cameras.lens import CameraModel
+from camcal.cameras.model import Camera
 from camcal.errors import CamcalError
 from camcal.formats import detections
 from camcal.geometry.pose import Pose

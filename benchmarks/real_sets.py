@@ -26,7 +26,8 @@ import numpy as np
 from camcal.errors import CamcalError
 from camcal.formats import detections
 from camcal.targets.detection import Detections
-from camcal.tasks.calibration.calibrate import CalibrateReport, calibrate
+from camcal.tasks.calibration.calibrate import calibrate
+from camcal.tasks.calibration.camera_result import CalibrateReport
 from camcal.tasks.calibration.options import CalibrateOptions
 
 DATA = Path(os.environ.get("CAMCAL_TEST_DATA", "../shared/data"))

@@ -40,7 +40,7 @@ from rig_programs import camcal_rig, opencv_rigs
 
 from camcal.calibrate.rigs.record import Captures, RigCalibration
 from camcal.cameras.catalogue import model_named
-from camcal.cameras.model import CameraModel
+from camcal.cameras.lens import CameraModel
 from camcal.errors import CamcalError
 from camcal.geometry.pose import Pose, compose_jacobians
 

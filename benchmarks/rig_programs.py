@@ -12,7 +12,8 @@ from camcal.calibrate.fit import ShapeOptions
 from camcal.calibrate.intrinsics import Options, calibrate
 from camcal.calibrate.rigs.calibrate import calibrate_rig
 from camcal.calibrate.rigs.record import FIXED, Captures, RigCalibration, RigOptions
-from camcal.cameras.model import Camera, CameraModel
+from camcal.cameras.lens import CameraModel
+from camcal.cameras.model import Camera
 from camcal.errors import InsufficientData
 from camcal.geometry.pose import Pose
 from camcal.targets.board import Board

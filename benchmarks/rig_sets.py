@@ -32,7 +32,7 @@ from real_rigs import CACHE, CAMCAL, OPENCV, OPENCV_SB, RIGS, Rig, aligned, capt
 from rig_programs import FLAT, as_rig, camcal_rig, fixed_lenses, opencv_rigs
 
 from camcal.calibrate.rigs.record import Captures
-from camcal.cameras.model import CameraModel
+from camcal.cameras.lens import CameraModel
 from camcal.errors import CamcalError
 from camcal.targets.board import Board
 

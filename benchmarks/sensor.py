@@ -19,9 +19,9 @@ from math import log10
 
 import numpy as np
 
+from camcal.raw.emva import Characterisation, characterise
 from camcal.raw.level import Level, measure_level
 from camcal.raw.mosaic import Mosaic
-from camcal.raw.sensor import Characterisation, characterise
 from camcal.simulate.mosaics import FixedPattern, RawCamera, Shot, even_frame, exposure_series
 from camcal.simulate.options import Sensor
 

@@ -53,7 +53,7 @@ from scipy.spatial import ConvexHull, Delaunay
 import camcal
 from camcal.calibrate.intrinsics import Options, calibrate
 from camcal.cameras.catalogue import model_named
-from camcal.cameras.model import CameraModel
+from camcal.cameras.lens import CameraModel
 from camcal.errors import CamcalError
 from camcal.formats import detections
 from camcal.geometry import rotation as so3

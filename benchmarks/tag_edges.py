@@ -13,9 +13,9 @@ import argparse
 import cv2
 import numpy as np
 
-from camcal.targets.markers.families import family_named
-from camcal.targets.markers.fit import homography
-from camcal.targets.markers.markers import detect_markers
+from camcal.targets.marker_fit import homography
+from camcal.targets.markers import detect_markers
+from camcal.targets.pattern import family_named
 
 FAMILY = family_named("tag36h11")
 SAMPLES = 8  # a pixel, along x and along y

@@ -26,8 +26,9 @@ from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.estimate.pnp import estimate_poses
 from camcal.estimate.poses.records import Correspondences, PoseEstimate, PoseOptions
-from camcal.estimate.tracking.free_motion import FreeMotion, MotionState, steps_from
+from camcal.estimate.poses.states import steps_from
 from camcal.estimate.tracking.measurements import PoseMeasurements
+from camcal.estimate.tracking.motion import FreeMotion, MotionState
 from camcal.estimate.tracking.process_noise import ProcessNoise
 from camcal.estimate.tracking.track import Track, TrackOptions, track_poses
 from camcal.geometry import rotation as so3

@@ -26,11 +26,10 @@ from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.formats import native
 from camcal.formats.camera_file import CameraEntry, CameraFile
+from camcal.images.files import load, save
 from camcal.images.image import Scratch
-from camcal.images.load import load
 from camcal.images.options import ViewOptions
 from camcal.images.remap import build_maps
-from camcal.images.save import save
 from camcal.images.views import make_view
 from camcal.run.process import available_cores
 from camcal.tasks.calibration.undistort import undistort

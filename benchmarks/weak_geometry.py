@@ -28,7 +28,7 @@ from projection_error import projection_errors
 from scipy.spatial import Delaunay
 from within_view_errors import opencv
 
-from camcal.calibrate.fit import ShapeOptions, fit_plain
+from camcal.calibrate.fit import ShapeOptions, fit_briefly, fit_plain
 from camcal.calibrate.intrinsics import Options, calibrate
 from camcal.cameras.directions import direction_displacements
 from camcal.cameras.model import Camera
@@ -97,7 +97,7 @@ def errors(item: Item) -> tuple[float, float, float, float]:
     model, size, seen = data.truth.model, data.truth.image_size, Observations.of(data.views)
     drawn, held = ShapeOptions(smooth=False, offsets=False), np.full(len(model.parameter_names), np.nan)
     try:
-        flat, _ = fit_plain(model, data.board, seen, size, held, None, drawn)
+        flat, _ = fit_plain(*fit_briefly(model, data.board, seen, size, held, None, drawn), drawn)
         own = calibrate(data.views, data.board, Options(model)).camera
     except CamcalError:
         return peer, np.nan, np.nan, np.nan

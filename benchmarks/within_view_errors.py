@@ -41,7 +41,8 @@ from projection_error import projection_errors
 import camcal
 from camcal.calibrate.intrinsics import Options, calibrate
 from camcal.cameras.catalogue import model_named
-from camcal.cameras.model import Camera, CameraModel
+from camcal.cameras.lens import CameraModel
+from camcal.cameras.model import Camera
 from camcal.errors import CamcalError
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import point_jacobian, retract

@@ -5,10 +5,10 @@ from camcal.calibrate.rigs.record import Captures as Captures
 from camcal.calibrate.rigs.record import RigCalibration as RigCalibration
 from camcal.cameras.catalogue import MODELS as MODELS
 from camcal.cameras.catalogue import model_named as model_named
+from camcal.cameras.lens import CameraModel as CameraModel
+from camcal.cameras.lens import Projection as Projection
+from camcal.cameras.lens import Rays as Rays
 from camcal.cameras.model import Camera as Camera
-from camcal.cameras.model import CameraModel as CameraModel
-from camcal.cameras.model import Projection as Projection
-from camcal.cameras.model import Rays as Rays
 from camcal.cameras.model import Rig as Rig
 from camcal.cameras.model import resized as resized
 from camcal.errors import CamcalError as CamcalError
@@ -88,8 +88,8 @@ from camcal.stereo.rectify.record import Rectification as Rectification
 from camcal.targets.board import Board as Board
 from camcal.targets.detection import BoardDetection as BoardDetection
 from camcal.targets.detection import Detections as Detections
-from camcal.targets.markers.markers import detect_markers as detect_markers
-from camcal.tasks.calibration.calibrate import CalibrateReport as CalibrateReport
+from camcal.targets.markers import detect_markers as detect_markers
+from camcal.tasks.calibration.camera_result import CalibrateReport as CalibrateReport
 from camcal.tasks.calibration.options import CalibrateOptions as CalibrateOptions
 from camcal.tasks.calibration.options import DetectOptions as DetectOptions
 from camcal.tasks.library import PointCloud as PointCloud
@@ -205,5 +205,5 @@ __all__ = [
 ]
 
 __version__: str
-from camcal.tasks.rigs.calibrate_rig import RigReport as RigReport
 from camcal.tasks.rigs.options import RigSettings as RigSettings
+from camcal.tasks.rigs.rig_result import RigReport as RigReport

@@ -17,9 +17,9 @@ from threading import Lock
 from typing import BinaryIO, Protocol, TextIO
 from weakref import WeakKeyDictionary
 
-from camcal import folders, system, urls
+from camcal import system, urls
 from camcal.errors import FileError, reason
-from camcal.folders import TEMPORARY
+from camcal.system import TEMPORARY
 
 STANDARD = "-"  # as a path: standard input or output
 LARGEST = 4 << 30  # bytes of a file that is read as a whole
@@ -83,7 +83,7 @@ def replacing(path: Path) -> Iterator[Path]:
     What is no file but a device, a named pipe or standard output ("-") is written to when the block has succeeded.
     The file is flushed to disk before the rename, so a killed run leaves the old file or the new one, never half. What
     a killed run left of a temporary file is removed by the next one that writes into the folder.
-    Raises FileError if the folder cannot be written or is another one than before (see `folders`), and what the ledger
+    Raises FileError if the folder cannot be written or is another one than before (see `system`), and what the ledger
     of a run raises.
     """
     ledger = LEDGER.get()
@@ -105,7 +105,7 @@ def replacing(path: Path) -> Iterator[Path]:
         if ledger is not None:
             ledger.wrote(path.stat())
     except (OSError, FileError) as error:
-        folders.require_same(path.parent)  # else that is the reason
+        system.require_same(path.parent)  # else that is the reason
         if isinstance(error, OSError):
             raise _unwritable(path, error) from error
         raise
@@ -119,7 +119,7 @@ def replacing(path: Path) -> Iterator[Path]:
 def _beside(path: Path) -> tuple[int | None, Path]:
     """Return a new temporary file beside `path`, in a folder that is made for it; see `_reserved`."""
     try:
-        folders.prepare(path.parent)
+        system.prepare(path.parent)
         _sweep(path.parent.absolute())
         handle, name = _reserved(path)
     except OSError as error:
@@ -135,7 +135,7 @@ def _put(temporary: Path, path: Path) -> None:
         umask = os.umask(0)
         os.umask(umask)
     temporary.chmod(0o666 & ~umask)
-    folders.require_same(path.parent)
+    system.require_same(path.parent)
     temporary.replace(path)
 
 

@@ -11,7 +11,7 @@ from camcal.cameras.model import Camera
 from camcal.formats import native
 from camcal.formats.camera_file import CameraEntry, CameraFile, Transform
 from camcal.geometry.pose import Pose
-from camcal.images.save import save
+from camcal.images.files import save
 
 BOARD = "chessboard:6x5:25mm"
 RIG = "rig/rig.yaml"

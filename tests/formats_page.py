@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from camcal.cameras.catalogue import MODELS
-from camcal.cameras.model import CameraModel
+from camcal.cameras.lens import CameraModel
 from camcal.formats.cameras import FORMATS
 from camcal.formats.cameras.record import CameraFormat
 from camcal.formats.native_entry import CORE

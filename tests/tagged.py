@@ -6,9 +6,8 @@ from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.geometry.pose import Pose
 from camcal.simulate.render import Exposure, develop, draw, light, outlines, piece_length
-from camcal.targets.markers.families import family_named
-from camcal.targets.markers.tags import OPENCV, tag_corners
-from camcal.targets.pattern import Pattern
+from camcal.targets.markers import OPENCV, tag_corners
+from camcal.targets.pattern import Pattern, family_named
 
 QUIET = 1.5  # cells of white around a marker
 FACING = np.diag([1.0, -1.0, -1.0])  # an upright tag that looks at the camera: y up and z towards it

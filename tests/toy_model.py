@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from camcal.cameras.model import Parameter
+from camcal.cameras.lens import Parameter
 from camcal.cameras.plane_model import Flat, PlaneModel, chained
 
 

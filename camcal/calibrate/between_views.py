@@ -15,7 +15,7 @@ from camcal.calibrate.effects import columns_at
 from camcal.calibrate.estimator import Estimate
 from camcal.calibrate.problem import POSE, Derivatives
 from camcal.calibrate.single_views import ViewOffsets, followed
-from camcal.targets.surface import RATIOS, basis
+from camcal.targets.board import RATIOS, basis
 
 _VIEWS = 60  # where there are more, so many of them tell all that is asked here
 _LEAST_VIEWS = 5

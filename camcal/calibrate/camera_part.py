@@ -50,7 +50,8 @@ class KnownNoise:
 class CameraPart:
     """One camera in an alternation; its attributes are what a pass leaves for the next.
 
-    share: how much of the way to new noise and weights is gone. board: the scales of the classes of the board's shape.
+    share: how much of the way to new noise and weights is gone, more than 1 to go beyond. board: the scales of the
+    classes of the board's shape.
     """
 
     def __init__(
@@ -103,9 +104,8 @@ class CameraPart:
             )
         weights = corner_weights(distances, self.present, self.noise, self.spent)
         if not first:
-            weights = np.where(
-                weights > 0, self.share * weights + (1 - self.share) * self.problem.observations.weights, 0.0
-            )
+            before = self.problem.observations.weights
+            weights = np.where(weights > 0, np.clip(before + self.share * (weights - before), 0.0, 1.0), 0.0)
         observations = replace(self.problem.observations, weights=weights)
         problem = replace(self.problem, observations=observations, sigma=self.noise.sigma, noise=self.noise.views)
         self.problem = with_priors(problem, self.board)

@@ -14,12 +14,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from camcal.arrays import Array, FloatArray, readonly
 from camcal.calibrate.intrinsics import Calibration
 from camcal.calibrate.noise import CUT, robust_sigma, truncation
-from camcal.cameras.model import Camera, CameraModel
+from camcal.cameras.lens import CameraModel
+from camcal.cameras.model import Camera
 from camcal.cameras.reprojection import linearised, residuals
 from camcal.errors import InsufficientData, NotConverged
 from camcal.solve.least_squares import Solution, minimise
@@ -257,6 +258,6 @@ def _simplest(problem: _LensProblem, full: Solution[Array], main_sigma: float) -
             continue
         trial = replace(problem, free=free)
         solution = minimise(trial, problem.start)
-        if solution.converged and chi2.sf(2 * share * (solution.cost - full.cost), dof) > _SIGNIFICANCE:
+        if solution.converged and chdtrc(dof, 2 * share * (solution.cost - full.cost)) > _SIGNIFICANCE:
             return trial, solution
     return problem, full

@@ -20,8 +20,7 @@ from camcal.arrays import Array
 from camcal.calibrate.problem import POSE, BoardProblem, Derivatives, State
 from camcal.cameras.reprojection import by_pose
 from camcal.solve.steps import Factors, NormalEquations, Step, factorise, lowest_along
-from camcal.targets.board import Board
-from camcal.targets.surface import CLASSES, basis, normalised
+from camcal.targets.board import CLASSES, Board, basis, normalised
 
 SMOOTH_DEGREE = 3
 # how fast the spectrum of a field with the correlation exp(-d / 4 squares) falls, by degree: seen on boards of 6 x 4 to
@@ -175,6 +174,11 @@ class EffectScales:
             self, variances=self.variances * variances, shares=self.shares * shares.reshape(self.shares.shape)
         )
 
+    def towards(self, other: "EffectScales", share: float) -> "EffectScales":
+        """Return the scales a share of the way to others, in logarithms."""
+        variances = self.variances * (other.variances / self.variances) ** share
+        return replace(self, variances=variances, shares=self.shares * (other.shares / self.shares) ** share)
+
     def log_prior(self) -> float:
         """Return the logarithm of their prior density, up to a constant."""
         offset = np.log(self.variances / self.typical)
@@ -229,7 +233,7 @@ def posterior(factors: Factors) -> Posterior:
     shared = covariance[: products.shape[-1], : products.shape[-1]]
     rows = np.concatenate(list(reduced))  # one product is faster than one for each group
     followed = (rows @ covariance).reshape(reduced.shape)
-    inverse = factors.inverse_group_root()[:, POSE:, POSE:].transpose(0, 2, 1)  # of a lower triangle: zero above
+    inverse = factors.group_inverse[:, POSE:, POSE:].transpose(0, 2, 1)  # of a lower triangle: zero above
     # what is left open of the effects: the traces of their covariances
     coupling, further = inverse @ reduced[:, POSE:], inverse @ followed[:, POSE:]
     effects = np.sum(inverse**2, axis=(1, 2)) + np.sum(coupling * further, axis=(1, 2))

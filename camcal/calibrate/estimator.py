@@ -27,6 +27,7 @@ from camcal.calibrate.shape import (
     board_scales,
     offset_std,
     point_equations,
+    scales_towards,
     spent_on_offsets,
     with_terms,
 )
@@ -83,23 +84,30 @@ def estimate(
     """Return the estimate that passes lead to from a state near it.
 
     start: an estimate of the same problem with no more freedom, whose noise and scales are taken over. brief: with few
-    passes, to look at. Raises SingularError where the data leave parameters undetermined.
+    passes, to look at, single points of the board solved for in turn. Raises SingularError where the data leave
+    parameters undetermined.
     """
-    return _Passes(problem, state, additional, start).run(brief=brief)
+    return _Passes(problem, state, additional, start, brief=brief).run()
 
 
 class _Passes(CameraPart, Alternation):
     """The alternation; its attributes are what a pass leaves for the next."""
 
     def __init__(
-        self, problem: BoardProblem, state: State, additional: AdditionalParameters, start: Estimate | None
+        self,
+        problem: BoardProblem,
+        state: State,
+        additional: AdditionalParameters,
+        start: Estimate | None,
+        *,
+        brief: bool,
     ) -> None:
         if additional.smooth:
             problem, state = with_terms(problem, state)
-        together = additional.points and problem.board.count <= TOGETHER
+        together = additional.points and problem.board.count <= TOGETHER and not brief
         known = start.known if start else None
         super().__init__(replace(problem, loss=None, offsets=together), state, additional.effects, known)
-        self.begin(additional, len(problem.free), fresh=start is None)
+        self.begin(additional, fresh=start is None, brief=brief)
         self.effect_scales = EffectScales.start(len(self.present), self.noise.sigma, max(problem.board.extent))
         if start:
             self.board = dict(start.board)
@@ -116,8 +124,8 @@ class _Passes(CameraPart, Alternation):
         )
         self.place.coefficients[:, known[self.columns.effect]] = start.coefficients
 
-    def run(self, *, brief: bool) -> Estimate:
-        number, (factors, left, moved) = self.alternate(brief=brief)
+    def run(self) -> Estimate:
+        number, (factors, left, moved) = self.alternate()
         return Estimate(
             self.problem,
             self.place.state,
@@ -148,7 +156,7 @@ class _Passes(CameraPart, Alternation):
         self.linearised = here.state
         factors, end = self._move()
         left = posterior(factors)
-        self.board = self.board | board_scales(self.problem, end, factors)
+        self.board = scales_towards(self.board, board_scales(self.problem, end, factors), self.share)
         if self.problem.offsets:
             offsets = spent_on_offsets(self.problem, here.state, here.derivatives, factors)
         self._pose_lost_views()
@@ -179,7 +187,8 @@ class _Passes(CameraPart, Alternation):
         here, effects = self.place, self.columns.values if self.additional.effects else None
         equations = self.problem.equations(here.state, here.derivatives, effects)
         if self.additional.effects:
-            self.effect_scales = fit_effects(equations, self.columns.effect, self.effect_scales)
+            likeliest = fit_effects(equations, self.columns.effect, self.effect_scales)
+            self.effect_scales = self.effect_scales.towards(likeliest, self.share)
         std = self.effect_scales.std(self.columns.effect)
         factors = factorise(scaled(equations, std))
         step, cost = factors.solve(), self._cost(here, std)

@@ -18,7 +18,7 @@ from camcal.calibrate.effects import (
 )
 from camcal.calibrate.estimator import Estimate
 from camcal.calibrate.problem import POSE
-from camcal.targets.surface import basis
+from camcal.targets.board import basis
 
 _VIEWS = 40  # effects that so many views do not show need not be modelled
 # Gains of the restricted log likelihood. Of noise alone few are beyond the first, with up to forty views; beyond the

@@ -1,6 +1,6 @@
 """The calibration from start to solution: robust fits, symmetric boards, estimates and their average."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -26,8 +26,10 @@ from camcal.calibrate.problem import BoardProblem, State
 from camcal.calibrate.shape import hold_to_print, odd_terms
 from camcal.cameras.catalogue import WIDE_MODEL
 from camcal.cameras.directions import direction_displacements, in_hull
-from camcal.cameras.model import Camera, CameraModel
+from camcal.cameras.lens import CameraModel
+from camcal.cameras.model import Camera
 from camcal.cameras.observations import Observations
+from camcal.cameras.refit import fit_lens
 from camcal.errors import InsufficientData
 from camcal.solve.descent import Stopping
 from camcal.solve.least_squares import minimise
@@ -42,6 +44,7 @@ _FINE = Stopping(relative_decrease=1e-7, iterations=60)  # flat valleys of ratio
 _POSING = Stopping(relative_decrease=1e-8, iterations=10)
 _SETTLING = Stopping(iterations=2)  # the lens is known, the poses are next to their minimum
 _ROUNDS = 8
+_MAPPED = 200  # corners at which one lens is fitted to another
 _GRID = (20, 15)  # of pixels at which lenses are compared
 _LOSS = Cauchy(3.0)
 
@@ -104,7 +107,15 @@ def fit(plain: Estimate, turns: Array, image_size: tuple[int, int]) -> Calibrati
     return averaged_fit(tuple(estimates), errors, turns, image_size, [influence(own) for own in estimates])
 
 
-def fit_plain(
+def fit_plain(brief: Estimate, turns: Array, shape: ShapeOptions) -> tuple[Estimate, Array]:
+    """Return the estimate that takes errors within views for noise, and the symmetry (V,) by which each view was
+    turned, going on from the two results of `fit_briefly` with as much freedom of the board as `shape` gives.
+    """
+    result = estimate(brief.problem, brief.state, shape.additional, brief)
+    return _turned(result, turns, lambda problem, state: estimate(problem, state, shape.additional, result), shape)
+
+
+def fit_briefly(
     model: CameraModel,
     board: Board,
     observations: Observations,
@@ -112,15 +123,12 @@ def fit_plain(
     held: Array,
     guess: Array | None,
     shape: ShapeOptions,
-    *,
-    brief: bool = False,
 ) -> tuple[Estimate, Array]:
-    """Return the estimate that takes errors within views for noise, and the symmetry (V,) by which each view was
-    turned.
+    """Return an estimate of few passes, to go on from and to compare lens models by, and the symmetry (V,) by which
+    each view was turned.
 
-    held: (K,) values of lens parameters that stay as they are, NaN where free. guess: (K,) a lens to start from.
-    brief: with few passes,
-    to compare lens models by. Raises InsufficientData where no start is found.
+    held: (K,) values of lens parameters that stay as they are, NaN where free. guess: (K,) a lens to start from. Raises
+    InsufficientData where no start is found.
     """
     free = np.flatnonzero(np.isnan(held))
     count = len(observations.ids)
@@ -135,9 +143,32 @@ def fit_plain(
     problem = replace(problem.within_domain(state), sigma=_sigma(problem, state))
     state = minimise(problem, state, _FINE).state
     spread = model.prior_std(image_size, float(state.parameters[0]))
-    problem = replace(problem, observations=observations, lens_spread=spread)
-    problem, state, turns, first = _oriented(problem, state, shape)
-    return estimate(problem, state, shape.additional, first, brief=brief), turns
+    return _oriented(replace(problem, observations=observations, lens_spread=spread), state, shape)
+
+
+def fit_like(
+    other: Estimate, turns: Array, model: CameraModel, image_size: tuple[int, int], held: Array
+) -> tuple[Estimate, Array] | None:
+    """Return what `fit_briefly` does, going on from what it returned for the same views with another lens model; None
+    where the model cannot take all corners in the poses of that.
+    """
+    problem, state = other.problem, other.state
+    kept = problem.observations.weights >= REJECTED
+    some = slice(None, None, max(int(kept.sum()) // _MAPPED, 1))
+    rays, pixels = problem.camera_points(state)[:, kept].T, problem.observations.pixels + problem.residuals(state)
+    start = model.start(image_size, float(state.parameters[0]))
+    lens = fit_lens(model, rays[some], pixels[:, kept].T[some], start)
+    if lens is None:
+        return None
+    lens = np.where(np.isnan(held), lens, held)
+    everything = replace(problem.observations, weights=problem.observations.present.astype(float), whitening=None)
+    problem = replace(problem, model=model, free=np.flatnonzero(np.isnan(held)), loss=_LOSS, observations=everything)
+    state = replace(state, parameters=lens)
+    problem = replace(problem, lens_spread=model.prior_std(image_size, float(lens[0])), noise=None)
+    problem = replace(problem.within_domain(state), sigma=_sigma(problem, state))
+    state = minimise(problem, state, _FINE).state
+    problem = replace(problem, observations=everything)
+    return estimate(problem, state, other.additional, brief=True), turns
 
 
 def _with_effects(start: Estimate, effects: tuple[str, ...]) -> Estimate | None:
@@ -261,37 +292,43 @@ def _pose_all(problem: BoardProblem, state: State) -> State:
     return replace(state, rotations=poses[0], translations=poses[1])
 
 
-def _oriented(
-    problem: BoardProblem, state: State, shape: ShapeOptions
-) -> tuple[BoardProblem, State, Array, Estimate | None]:
-    """Return problem and state with every view of a symmetric board numbered from the end that fits its shape best, the
-    symmetries (V,) by which they were turned, and the estimate that says so.
+def _oriented(problem: BoardProblem, state: State, shape: ShapeOptions) -> tuple[Estimate, Array]:
+    """Return a brief estimate with every view of a symmetric board numbered from the end that fits its shape best, and
+    the symmetries (V,) by which they were turned.
     """
-    turns = np.zeros(len(problem.observations.present), np.intp)
+
+    def first(problem: BoardProblem, state: State) -> Estimate:
+        return estimate(problem, state, shape.additional, brief=True)
+
+    result, turns = first(problem, state), np.zeros(len(problem.observations.present), np.intp)
     symmetries = len(problem.board.symmetries())
     if not shape.smooth or symmetries == 1:
-        return problem, state, turns, None
-    found = _first(problem, state, shape)
-    opposed = opposed_views(*odd_terms(found.problem, found.state, found.factors))
+        return result, turns
+    opposed = opposed_views(*odd_terms(result.problem, result.state, result.factors))
     if opposed.any():
         sorted_apart = opposed * (symmetries // 2)
-        trial = _first(*apply_symmetries(found.problem, found.state, sorted_apart), shape)
-        sigma = found.noise.sigma
-        if _chi_square(found, sigma) - _chi_square(trial, sigma) > len(turns):
-            found, turns = trial, sorted_apart
-    for _ in range(_ROUNDS):
-        better, state = best_turns(found.problem, found.state)
+        trial = first(*apply_symmetries(result.problem, result.state, sorted_apart))
+        sigma = result.noise.sigma
+        if _chi_square(result, sigma) - _chi_square(trial, sigma) > len(turns):
+            result, turns = trial, sorted_apart
+    return _turned(result, turns, first, shape)
+
+
+def _turned(
+    result: Estimate, turns: Array, again: Callable[[BoardProblem, State], Estimate], shape: ShapeOptions
+) -> tuple[Estimate, Array]:
+    """Return an estimate, made `again` as long as views fit the board's shape better from another of its ends, and the
+    symmetries (V,) by which all of them were turned then; turns: those so far.
+    """
+    symmetries = len(result.problem.board.symmetries())
+    for _ in range(_ROUNDS if shape.smooth and symmetries > 1 else 0):
+        better, state = best_turns(result.problem, result.state)
         if not better.any():
             break
-        found = _first(renumbered(found.problem, better), state, shape)
+        # the points of the board start again
+        result = again(renumbered(result.problem, better), replace(state, offsets=0 * state.offsets))
         turns = (turns + better) % symmetries
-    return found.problem, found.state, turns, found
-
-
-def _first(problem: BoardProblem, state: State, shape: ShapeOptions) -> Estimate:
-    """Return a first estimate of the board's shape, good enough to distinguish its ends; its points start again."""
-    state = replace(state, offsets=0 * state.offsets)
-    return estimate(problem, state, shape.additional, brief=True)
+    return result, turns
 
 
 def _chi_square(result: Estimate, sigma: float) -> float:

@@ -16,7 +16,7 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.calibrate.noise import CUT
 from camcal.calibrate.problem import BoardProblem, State
-from camcal.cameras.model import CameraModel
+from camcal.cameras.lens import CameraModel
 from camcal.cameras.observations import Observations
 from camcal.cameras.planar_poses import planar_poses
 from camcal.geometry import rotation as so3

@@ -11,7 +11,7 @@ from camcal.brief import Brief
 from camcal.calibrate.between_views import BetweenViews, between_views
 from camcal.calibrate.estimator import Estimate
 from camcal.calibrate.evidence import WithinViews
-from camcal.calibrate.fit import CalibrationFit, ShapeOptions, averaged_fit, fit, fit_plain
+from camcal.calibrate.fit import CalibrationFit, ShapeOptions, averaged_fit, fit, fit_briefly, fit_like, fit_plain
 from camcal.calibrate.influence import influence
 from camcal.calibrate.jackknife import predict_views
 from camcal.calibrate.noise import REJECTED
@@ -32,13 +32,13 @@ from camcal.calibrate.several_cameras import TwoCameras, two_cameras
 from camcal.calibrate.shape import surface_of
 from camcal.calibrate.view_records import RejectedCorner, View, rejected_corners, view_records
 from camcal.cameras.catalogue import MODELS
-from camcal.cameras.model import Camera, CameraModel
+from camcal.cameras.lens import CameraModel
+from camcal.cameras.model import Camera
 from camcal.cameras.observations import Observations
 from camcal.errors import InsufficientData, InvalidInput, NotConverged
 from camcal.solve.steps import SingularError
-from camcal.targets.board import Board
+from camcal.targets.board import Board, Surface
 from camcal.targets.detection import BoardDetection
-from camcal.targets.surface import Surface
 
 __all__ = ["Calibration", "CandidateModel", "Options", "RejectedCorner", "View", "calibrate", "compare_models"]
 
@@ -110,7 +110,7 @@ class CandidateModel(Brief):
     """A lens model and how well it predicts: scores (V,) log likelihoods of the views; sigma_px: the scale of the
     errors of a coordinate, 0.85 standard deviations of Gaussian ones.
 
-    reason: why it has no score, None if it has. calibration: a brief one with this model, None where it would be
+    reason: why it has no score, None if it has. calibration, fit: brief ones with this model, None where it would be
     refused. map_px: RMS standard deviation of the projection over the image, once it was assessed. failures: codes of
     why it is refused, or of the criteria that it does not meet.
     """
@@ -121,6 +121,7 @@ class CandidateModel(Brief):
     sigma_px: float | None = None
     reason: str | None = None
     calibration: Calibration | None = None
+    fit: CalibrationFit | None = None
     map_px: float | None = None
     failures: tuple[str, ...] = ()
 
@@ -146,15 +147,20 @@ class Solved:
         return [view.image for view, reason in zip(self.detections, self.reasons, strict=True) if reason is None]
 
 
-def calibrate(detections: Sequence[BoardDetection], board: Board, options: Options) -> Calibration:
-    """Return the camera that saw a board in `detections`; raises as `solve` does."""
-    found = solve(detections, board, options)
+def calibrate(
+    detections: Sequence[BoardDetection], board: Board, options: Options, start: CalibrationFit | None = None
+) -> Calibration:
+    """Return the camera that saw a board in `detections`; start: as of `solve`, which says what is raised."""
+    found = solve(detections, board, options, start)
     covariances = _pose_covariances(found.fit)
     return record(found, covariances, between_views(found.fit.estimates, found.images))
 
 
-def solve(detections: Sequence[BoardDetection], board: Board, options: Options) -> Solved:
-    """Return the solution for the camera that saw a board in `detections`.
+def solve(
+    detections: Sequence[BoardDetection], board: Board, options: Options, start: CalibrationFit | None = None
+) -> Solved:
+    """Return the solution for the camera that saw a board in `detections`; start: a brief fit of `compare_models` with
+    the same options, to go on from.
 
     Raises InsufficientData when the views cannot hold a calibration (too few, alike, fronto-parallel, too many
     rejected), NotConverged when the solver does not settle, InvalidInput for options that contradict each other.
@@ -162,7 +168,11 @@ def solve(detections: Sequence[BoardDetection], board: Board, options: Options) 
     size, reasons = _usable(detections, board)
     usable = [view for view, reason in zip(detections, reasons, strict=True) if reason is None]
     try:
-        plain, turns = _plain(Observations.of(usable), board, size, options)
+        if start is None:
+            brief, turns = _fit_briefly(Observations.of(usable), board, size, options)
+        else:
+            brief, turns = start.plain, start.turns
+        plain, turns = fit_plain(brief, turns, options.shape)
         images = [view.image for view in usable]
         cameras = two_cameras(plain, images, size, options.shape, options.named_groups)
         if plain.converged:  # before errors within views are modelled, which would take long for a wrong lens
@@ -196,19 +206,22 @@ def compare_models(
     usable = [view for view, reason in zip(detections, reasons, strict=True) if reason is None]
     observations = Observations.of(usable)
     corners = int(observations.present.sum())
-    result = []
+    result: list[CandidateModel] = []
+    plausible: CalibrationFit | None = None
     for model in models:
+        own = replace(options, model=model)
         try:
-            plain, turns = _plain(observations, board, size, replace(options, model=model), brief=True)
-            left_out = influence(plain)
-            scores, sigma = predict_views(plain, left_out)
-            brief = averaged_fit((plain,), WithinViews(1.0), turns, size, [left_out])
-            solved = Solved(brief, tuple(detections), tuple(reasons), size, None)
+            brief, turns = _fit_briefly(observations, board, size, own, plausible)
+            left_out = influence(brief)
+            scores, sigma = predict_views(brief, left_out)
+            fit = averaged_fit((brief,), WithinViews(1.0), turns, size, [left_out])
             candidate = CandidateModel(model.name, scores, corners, sigma)
+            solved = Solved(fit, tuple(detections), tuple(reasons), size, None)
             try:
-                _require_plausible(brief, solved.images, replace(options, model=model), len(detections))
-                found = record(solved, _pose_covariances(brief), BetweenViews())
-                result.append(replace(candidate, calibration=found))
+                _require_plausible(fit, solved.images, own, len(detections))
+                found = record(solved, _pose_covariances(fit), BetweenViews())
+                result.append(replace(candidate, calibration=found, fit=fit))
+                plausible = plausible or fit
             except InsufficientData as error:
                 result.append(replace(candidate, failures=tuple(message.code for message in error.failures)))
         except (SingularError, np.linalg.LinAlgError):
@@ -218,21 +231,22 @@ def compare_models(
     return tuple(result)
 
 
-def _plain(
-    observations: Observations, board: Board, size: tuple[int, int], options: Options, *, brief: bool = False
+def _fit_briefly(
+    observations: Observations,
+    board: Board,
+    size: tuple[int, int],
+    options: Options,
+    other: CalibrationFit | None = None,
 ) -> tuple[Estimate, Array]:
-    """Return what `fit_plain` makes of the observations under the options."""
+    """Return what `fit_briefly` makes of the observations under the options; other: a brief fit with another lens
+    model, to go on from.
+    """
     held, guess = _held(options, size)
-    return fit_plain(
-        options.model,
-        board,
-        observations=observations,
-        image_size=size,
-        held=held,
-        guess=guess,
-        shape=options.shape,
-        brief=brief,
-    )
+    if other is not None and guess is None:
+        found = fit_like(other.plain, other.turns, options.model, size, held)
+        if found is not None:
+            return found
+    return fit_briefly(options.model, board, observations, size, held=held, guess=guess, shape=options.shape)
 
 
 def _usable(detections: Sequence[BoardDetection], board: Board) -> tuple[tuple[int, int], list[str | None]]:

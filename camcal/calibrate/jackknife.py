@@ -18,21 +18,22 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.optimize import minimize_scalar, nnls
 
 from camcal.arrays import Array, FloatArray
 from camcal.calibrate.estimator import Estimate
 from camcal.calibrate.influence import Solution
 from camcal.calibrate.problem import State
 from camcal.geometry import rotation as so3
+from camcal.solve.dense import minimise_nonnegative
 
-_FINEST, _HEAVY = 1e-9, 1e3  # of the spread's trace and its root: that weights are determined, that they sum to one
+_FINEST = 1e-9  # of the spread's trace: that weights are determined
 _ALIKE = 10.0  # views that count for estimates of equal scatter
 _FEW = 7.0  # views that hardly show what errors they share
 
 _DOF = 4.0  # of the Student distribution
 _OUTLIERS, _REACH = 0.01, 20.0  # the share of corners that may be anywhere within so many pixels
-_LEAST_SIGMA, _MOST_SIGMA = 1e-4, 20.0  # px
+_LEAST_SIGMA, _MOST_SIGMA, _MOST_PX = 1e-4, 20.0, 1e100  # px
+_STEPS, _SAME = 200, 1e-9
 
 
 def image_metric(displacements: Array) -> Array:
@@ -73,11 +74,8 @@ def _least_spread(spread: Array, views: int, *, noisy: bool = False) -> Array:
         ones = np.ones(len(spread))
         spread = spread - 1 / (ones @ np.linalg.solve(spread + finest, ones))
     spread = spread + _ALIKE / views * np.diag(np.diag(spread))
-    root = np.linalg.cholesky(spread + finest)
-    # the minimum of wᵀ S w over weights that sum to one, as least squares with a heavy row for the sum
-    heavy = _HEAVY * np.sqrt(np.trace(spread))
-    system = np.vstack([root.T, np.full(len(spread), heavy)])
-    weights = nnls(system, np.append(np.zeros(len(spread)), heavy))[0]
+    # of weights that sum to one the minimum of wᵀ S w lies in the direction of that of ½ wᵀ S w - Σ w
+    weights = minimise_nonnegative(spread + finest, np.ones(len(spread)))
     return np.asarray(weights / weights.sum())
 
 
@@ -204,18 +202,19 @@ def _left_out(plain: Estimate, left_out: Array) -> Array:
 def _likeliest(distances: Array) -> tuple[float, Array]:
     """Return the scale of the Student distribution, px, under which distances (N,) are likeliest, and the logarithms of
     their densities.
+
+    By expectation and maximisation: every distance is an outlier's by its share of the density, and else weighs as a
+    Student distribution has it. Source: Lange, Little & Taylor, Robust statistical modeling using the t distribution,
+    1989.
     """
-
-    def density(log_sigma: float) -> Array:
-        variance = np.exp(2 * log_sigma)
-        squared = np.minimum(distances, 1e150) ** 2 / (_DOF * variance)
-        student = (1 + squared) ** (-_DOF / 2 - 1) / (2 * np.pi * variance)
-        return np.asarray(np.log((1 - _OUTLIERS) * student + _OUTLIERS / (np.pi * _REACH**2)))
-
-    found = minimize_scalar(
-        lambda log_sigma: -float(density(log_sigma).sum()),
-        bounds=(np.log(_LEAST_SIGMA), np.log(_MOST_SIGMA)),
-        method="bounded",
-        options={"xatol": 1e-6},
-    )
-    return float(np.exp(found.x)), density(float(found.x))
+    squares, outliers = np.minimum(distances, _MOST_PX) ** 2, _OUTLIERS / (np.pi * _REACH**2)
+    variance = float(np.median(squares))
+    for _ in range(_STEPS):
+        before = variance = min(max(variance, _LEAST_SIGMA**2), _MOST_SIGMA**2)
+        scaled = squares / (_DOF * variance)
+        density = (1 - _OUTLIERS) * (1 + scaled) ** (-_DOF / 2 - 1) / (2 * np.pi * variance)
+        share = density / (density + outliers)
+        variance = float(np.sum(share * (_DOF + 2) / _DOF / (1 + scaled) * squares) / (2 * np.sum(share)))
+        if abs(variance - before) < _SAME * before:
+            break
+    return float(np.sqrt(before)), np.log(density + outliers)

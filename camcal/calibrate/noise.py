@@ -20,9 +20,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.optimize import nnls
 
 from camcal.arrays import Array
+from camcal.solve.dense import minimise_nonnegative
 
 REJECTED = 1 / 3  # a corner of a smaller weight is listed as rejected: 4 of 100 000 Gaussian ones, beyond 4.5 σ
 _CUT = 16.0  # d² at which a corner has half its weight
@@ -167,12 +167,13 @@ class CornerNoise:
     period_px: Mapping[int, float] = field(default_factory=lambda: dict.fromkeys(PERIODS, 0.0))
 
     def towards(self, other: "CornerNoise", share: float) -> "CornerNoise":
-        """Return the noise a share of the way to another, in variances."""
-        periods = {
-            period: float(np.sqrt((1 - share) * self.period_px[period] ** 2 + share * other.period_px[period] ** 2))
-            for period in PERIODS
-        }
-        return CornerNoise(float(np.sqrt((1 - share) * self.constant_px**2 + share * other.constant_px**2)), periods)
+        """Return the noise a share of the way to another, in variances, none below a quarter of the other's."""
+
+        def between(own: float, their: float) -> float:
+            return float(np.sqrt(max((1 - share) * own**2 + share * their**2, their**2 / 4)))
+
+        periods = {period: between(self.period_px[period], other.period_px[period]) for period in PERIODS}
+        return CornerNoise(between(self.constant_px, other.constant_px), periods)
 
     def typical(self, shares: Array) -> float:
         """Return what is typically added, px: the geometric mean over all coordinates; shares: (N, 2, n)."""
@@ -295,12 +296,10 @@ class _Data:
         weighted = self.design * (self.weights / self.total(variances) ** 2)
         information = weighted @ self.design.T
         wanted = weighted @ (self.squared - self.claimed) - self.slope
-        # the minimum of ½ xᵀ A x - bᵀ x over x ≥ 0, as least squares in the root of A; a period that no corner shows
-        # has no row in A
+        # a period that no corner shows has no row in the information
         size = np.sqrt(np.maximum(np.diag(information), 1e-30 * information[0, 0]))
-        root = np.linalg.cholesky(information / np.outer(size, size) + 1e-12 * np.eye(len(size)))
-        solution, _ = nnls(root.T, np.linalg.solve(root, wanted / size))
-        step = solution / size - variances
+        scaled = information / np.outer(size, size) + 1e-12 * np.eye(len(size))
+        step = minimise_nonnegative(scaled, wanted / size) / size - variances
         return step, float((wanted - information @ variances) @ step)
 
 

@@ -11,15 +11,14 @@ from functools import cached_property
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.cameras.model import CameraModel
+from camcal.cameras.lens import CameraModel
 from camcal.cameras.observations import Observations
 from camcal.cameras.reprojection import by_pose, linearised, residuals, rotated_points, whitened
 from camcal.geometry.pose import retract
 from camcal.solve.least_squares import assemble
 from camcal.solve.losses import Loss
 from camcal.solve.steps import Block, Jacobian, NormalEquations, Step
-from camcal.targets.board import Board
-from camcal.targets.surface import basis
+from camcal.targets.board import Board, basis
 
 POSE = 6  # parameters of a view: tx ty tz rx ry rz
 _FITS = 3.0  # times the noise: the distance within which a point fits
@@ -223,6 +222,10 @@ class BoardProblem:
         blocks = [self.data(state, derivatives, effects), *self.priors(state)]
         size = POSE + (0 if effects is None else effects.shape[1])
         return assemble(blocks, self.shared, len(self.observations.ids), size)
+
+    def camera_points(self, state: State) -> Array:
+        """Return the board's points in the camera frame (3, V, P)."""
+        return self._points(state)[1]
 
     def _points(self, state: State) -> tuple[Array, Array]:
         """Return the board's points rotated and in the camera frame, both (3, V, P)."""

@@ -17,7 +17,7 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.calibrate.estimator import Estimate
-from camcal.calibrate.fit import ShapeOptions, fit_plain
+from camcal.calibrate.fit import ShapeOptions, fit_briefly
 from camcal.calibrate.noise import FINEST
 from camcal.calibrate.problem import BoardProblem, State
 from camcal.calibrate.single_views import ViewQuadratics, view_quadratics
@@ -244,7 +244,7 @@ def _lens_of(
     held = plain.state.parameters.copy()
     held[problem.free] = np.nan
     how = shape if points is None else ShapeOptions(smooth=False, offsets=False)
-    found, _ = fit_plain(
+    found, _ = fit_briefly(
         problem.model,
         problem.board,
         observations=observations,
@@ -252,7 +252,6 @@ def _lens_of(
         held=held,
         guess=None,
         shape=how,
-        brief=True,
     )
     bare, state = _bare(found)
     if points is not None:

@@ -21,7 +21,7 @@ from camcal.arrays import Array
 from camcal.calibrate.problem import BoardProblem, Derivatives, State
 from camcal.solve import least_squares
 from camcal.solve.steps import Block, Factors, Step
-from camcal.targets.surface import (
+from camcal.targets.board import (
     CLASSES,
     CORNER_CLASSES,
     IN_PLANE,
@@ -110,6 +110,14 @@ def _estimates(values: Array, vector: Array, scales: Array) -> Array:
 def first_scales() -> dict[str, Scale]:
     """Return the scales to begin with: those of a board that has something of every class."""
     return {name: Scale(own.median, own.median, 0.0, 0.5) for name, own in (CLASSES | CORNER_CLASSES).items()}
+
+
+def scales_towards(scales: Mapping[str, Scale], others: Mapping[str, Scale], share: float) -> dict[str, Scale]:
+    """Return the scales with others, the effective ones a share of the way to these, in logarithms."""
+    return dict(scales) | {
+        name: replace(own, effective=scales[name].effective * (own.effective / scales[name].effective) ** share)
+        for name, own in others.items()
+    }
 
 
 def with_terms(problem: BoardProblem, state: State) -> tuple[BoardProblem, State]:

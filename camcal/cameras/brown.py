@@ -12,7 +12,7 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.brief import Brief
 from camcal.cameras.distortion import Distorted
-from camcal.cameras.model import OPENCV, Parameter
+from camcal.cameras.lens import OPENCV, Parameter
 from camcal.cameras.plane_model import CORE, Flat, PlaneModel, Slopes, Values
 
 # In OpenCV's order. The typical barrel stays one-to-one at any field of view.

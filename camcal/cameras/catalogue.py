@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from importlib import import_module
 from types import MappingProxyType
 
-from camcal.cameras.model import CameraModel
+from camcal.cameras.lens import CameraModel
 from camcal.errors import InvalidInput
 from camcal.parsing import nearest
 

@@ -14,7 +14,7 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.brief import Brief
 from camcal.cameras.distortion import Distorted
-from camcal.cameras.model import FISHEYE, Parameter
+from camcal.cameras.lens import FISHEYE, Parameter
 from camcal.cameras.plane_model import Flat, PlaneModel, Slopes, Values
 
 SERIES_ANGLE = 1e-4

@@ -16,7 +16,7 @@ import numpy as np
 
 from camcal.arrays import Array, require_shape
 from camcal.cameras.distortion import Distorted, Distortion, Gradient, Limit, Roles
-from camcal.cameras.model import Domain, Parameter, Projection, ProjectionJacobians, Rays, staged
+from camcal.cameras.lens import Domain, Parameter, Projection, ProjectionJacobians, Rays, staged
 
 CORE = (
     Parameter("fx", stage=1, colour_stage=1),

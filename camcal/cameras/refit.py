@@ -6,9 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.cameras.model import Camera, CameraModel
+from camcal.cameras.lens import CameraModel
+from camcal.cameras.model import Camera
 from camcal.errors import InsufficientData
 from camcal.solve.dense import DenseMethod, minimise_dense
+from camcal.solve.least_squares import minimise
 from camcal.solve.steps import Block, Jacobian, Step
 
 _FITTED, _CHECKED = 31, 101  # rays a side of the image
@@ -40,6 +42,14 @@ def refit(camera: Camera, model: CameraModel) -> Refit:
     start = np.array([values.get(name, 0.0) for name in model.parameter_names])
     found = minimise_dense(_Refit(model, rays, pixels), start, DenseMethod())
     return _judged(camera, Camera(model, camera.image_size, found.state))
+
+
+def fit_lens(model: CameraModel, rays: Array, pixels: Array, start: Array) -> Array | None:
+    """Return the parameters (K,) of a lens whose pixels come nearest to those (N, 2) of rays (N, 3), None where the
+    lens has no image of one of them at the start (K,).
+    """
+    problem = _Refit(model, rays, pixels)
+    return None if problem.blocks(start) is None else minimise(problem, start).state
 
 
 def _judged(camera: Camera, fitted: Camera) -> Refit:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.cameras.model import CameraModel
+from camcal.cameras.lens import CameraModel
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,28 +1,35 @@
-"""`camcal board`, `detect`, `calibrate` and `undistort`: one camera."""
+"""`camcal board`, `detect`, `calibrate`, `rig`, `stereo calibrate` and `undistort`."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from math import isfinite
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 from camcal.cli import show
 from camcal.cli.call import Call, ImageCall
 from camcal.messages import counted
+from camcal.progress import Progress
 from camcal.report.table import Column
 from camcal.tasks.calibration.options import CalibrateOptions, DetectOptions
 from camcal.tasks.calibration.sheet_options import SheetOptions
 from camcal.tasks.calibration.undistort_options import UndistortOptions
+from camcal.tasks.rigs.options import RigSettings, RigTaskOptions, StereoCalibrateOptions
 
 if TYPE_CHECKING:
     from camcal.calibrate.intrinsics import RejectedCorner
     from camcal.tasks.calibration.board_sheet import BoardSheet
-    from camcal.tasks.calibration.calibrate import CalibrateReport
+    from camcal.tasks.calibration.camera_result import CalibrateReport
     from camcal.tasks.calibration.detect import DetectReport
     from camcal.tasks.calibration.undistort import PointsReport, UndistortReport
     from camcal.tasks.calibration.video_frames import FrameRecord
+    from camcal.tasks.rigs.rig_result import RigReport
 
 IMAGES_LISTED = 50
 DETECTION_COLUMNS = (Column("image", file=True), Column("corners"), Column("reason", wraps=True))
+
+CAMERAS_DRAWN = 4
+
+Options = TypeVar("Options", RigTaskOptions, StereoCalibrateOptions)
 
 
 def calibrate(options: CalibrateOptions, call: ImageCall) -> None:
@@ -36,27 +43,27 @@ def calibrate(options: CalibrateOptions, call: ImageCall) -> None:
 
 def _calibrate(options: CalibrateOptions, call: ImageCall) -> None:
     from camcal.errors import ItemsFailed
-    from camcal.run.journal import going_on
+    from camcal.run.journal import resume_hint
     from camcal.tasks.calibration.calibrate import calibrate as run
     from camcal.tasks.calibration.calibrate import document, require_good
 
     report = run(options, call.progress)
     failures = () if options.require else report.assessment.failures  # which end the command with an error then
-    call.give_found(
+    call.give_with_reused(
         lambda: document(report, options), lambda: _show_calibration(report, options, call.verbose), failures
     )
     require_good(report, options)
     if report.failed:
         listed = ", ".join(report.failed[: show.LISTED])
-        again = going_on(options.output)
+        again = resume_hint(options.output)
         raise ItemsFailed(f"{counted(len(report.failed), 'image')} could not be read: {listed}{again}")
 
 
 def _show_calibration(report: "CalibrateReport", options: CalibrateOptions, verbose: bool) -> None:
     from camcal.formats.camera_file import ProjectionStd
     from camcal.report.calibration import CANDIDATE_COLUMNS, candidate_rows, headline, parameter_rows, summary
+    from camcal.report.table import projection_words, region_words
     from camcal.report.text_figures import calibration_figures, coverage_words, residual_words
-    from camcal.report.uncertain import projection_words, region_words
 
     calibration, circle = report.calibration, next(iter(report.file.cameras.values())).image_circle
     if report.frames and verbose:
@@ -87,7 +94,7 @@ def _show_calibration(report: "CalibrateReport", options: CalibrateOptions, verb
 
 
 def _show_channels(report: "CalibrateReport") -> None:
-    from camcal.report.uncertain import value_and_std
+    from camcal.report.table import value_and_std
 
     if not report.channels:
         return
@@ -147,14 +154,16 @@ def detect(options: DetectOptions, call: ImageCall) -> None:
 
 def _detect(options: DetectOptions, call: ImageCall) -> None:
     from camcal.errors import ItemsFailed
-    from camcal.run.journal import going_on
+    from camcal.run.journal import resume_hint
     from camcal.tasks.calibration.detect import detect_images, document
 
     report = detect_images(options, call.progress)
-    call.give_found(lambda: document(report, options.output), lambda: _show_detections(report, options, call.verbose))
+    call.give_with_reused(
+        lambda: document(report, options.output), lambda: _show_detections(report, options, call.verbose)
+    )
     show.failed(report.failed)
     if report.failed:
-        again = going_on(options.output)
+        again = resume_hint(options.output)
         raise ItemsFailed(f"{counted(len(report.failed), 'image')} could not be read, the rest is written{again}")
 
 
@@ -242,3 +251,85 @@ def _show_undistorted(report: "UndistortReport", verbose: bool) -> None:
     show.reused(report.outcomes, "image")
     if drawn := [each.output for each in show.made(report.outcomes)]:
         show.wrote(report.camera_file, report.mask_file, show.several(drawn, "image"))
+
+
+def rig(options: RigTaskOptions, call: ImageCall) -> None:
+    """Calibrate several cameras and where they stand from images of a board, or from detections files.
+
+    Cameras may differ in resolution and lens, and need not all see the board at once: captures that two of them share
+    link them. Lenses, transforms and the shape of the board are estimated together; the rig file has the covariance of
+    all of them.
+    """
+    from camcal.tasks.rigs.calibrate_rig import rig as run
+
+    _calibrate_rig(run, options, call)
+
+
+def stereo_calibrate(options: StereoCalibrateOptions, call: ImageCall) -> None:
+    """Calibrate a pair of cameras, left and right, from images of a board: 'camcal rig' for two cameras."""
+    from camcal.tasks.rigs.calibrate_rig import stereo_calibrate as run
+
+    _calibrate_rig(run, options, call)
+
+
+def _calibrate_rig(run: Callable[[Options, Progress], "RigReport"], options: Options, call: ImageCall) -> None:
+    """Do the task unless an earlier run has done the same, and show what comes of it."""
+    settings = options.settings
+    call.once(
+        options,
+        settings.output,
+        lambda: _finish_rig(run(options, call.progress), settings, call),
+        resume=settings.batch.resume,
+    )
+
+
+def _finish_rig(report: "RigReport", settings: RigSettings, call: ImageCall) -> None:
+    """Show a report, and end as it and the settings say."""
+    from camcal.errors import ItemsFailed
+    from camcal.run.journal import resume_hint
+    from camcal.tasks.rigs.calibrate_rig import document, require_good
+
+    failures = () if settings.require else report.failures  # which end the command with an error then
+    call.give_with_reused(
+        lambda: document(report, settings), lambda: _show_rig(report, settings, call.verbose), failures
+    )
+    require_good(report, settings)
+    if report.failed:
+        listed = ", ".join(report.failed[: show.LISTED])
+        again = resume_hint(settings.output)
+        raise ItemsFailed(f"{counted(len(report.failed), 'image')} could not be read: {listed}{again}")
+
+
+def _show_rig(report: "RigReport", settings: RigSettings, verbose: bool) -> None:
+    from camcal.report.calibration import CANDIDATE_COLUMNS, candidate_rows, parameter_rows
+    from camcal.report.rig import CAMERA_COLUMNS, TRANSFORM_COLUMNS, camera_rows, lines, transform_rows
+    from camcal.report.table import region_words
+    from camcal.report.text_figures import calibration_figures, coverage_words, residual_words
+
+    calibration = report.calibration
+    regions = {name: result.assessment.region for name, result in report.cameras.items()}
+    smallest = min(regions, key=lambda name: regions[name].share)
+    show.trust(report.failures, region_words(regions[smallest], smallest))
+    for line in report.lines:
+        show.text(line)
+    show.table("cameras", CAMERA_COLUMNS, camera_rows(calibration), verbose=verbose)
+    show.table("transforms", TRANSFORM_COLUMNS, transform_rows(calibration), verbose=verbose)
+    for line in lines(calibration):
+        show.text(line)
+    for number, (name, own) in enumerate(calibration.calibrations.items()):
+        circle = report.file.cameras[name].image_circle
+        show.text(f"{name}: {coverage_words(own, circle)}; residuals {residual_words(own)}")
+        if verbose or number < CAMERAS_DRAWN:
+            show.figure(partial(calibration_figures, own, circle))
+    for names, candidates in (report.candidates or {}).items() if verbose else ():
+        show.table(f"Lens models of {', '.join(names)}", CANDIDATE_COLUMNS, candidate_rows(candidates))
+    for name, own in calibration.calibrations.items() if verbose else ():
+        show.table(f"{name}: {own.camera.model.name}", ["parameter", "value", "± std"], parameter_rows(own))
+    unmatched = report.views.matched.unmatched
+    _list("Without a partner:", list(unmatched), verbose)
+    unused = [
+        f"{view.image}: {view.reason}" for own in calibration.calibrations.values() for view in own.views if view.reason
+    ]
+    _list("Not used:", unused, verbose)
+    figures = show.several(report.figures, "figure")
+    show.wrote(settings.output, settings.save_detections, settings.report, figures)

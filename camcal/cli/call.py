@@ -9,7 +9,7 @@ from camcal.cli import show
 from camcal.cli.show import plain
 from camcal.errors import InvalidInput
 from camcal.files import STANDARD
-from camcal.images import limits
+from camcal.images.options import set_max_pixels
 from camcal.messages import Message, counted
 from camcal.options import GENERAL, Option
 from camcal.progress import Progress
@@ -78,7 +78,7 @@ class Call:
             return
         show.distrust(failures)
 
-    def give_found(
+    def give_with_reused(
         self, document: Callable[[], Mapping[str, Any]], words: Callable[[], None], failures: Sequence[Message] = ()
     ) -> None:
         """Print a result as `give` does, and of how many of its images an earlier run had found the corners."""
@@ -111,4 +111,4 @@ class ImageCall(Call):
             return
         if not 0 < self.max_pixels <= _MOST_PIXELS:
             raise InvalidInput(f"--max-pixels {self.max_pixels:g}: more than 0 and at most {_MOST_PIXELS:g} million")
-        limits.set_max_pixels(round(self.max_pixels * 1e6))
+        set_max_pixels(round(self.max_pixels * 1e6))

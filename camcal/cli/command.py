@@ -186,13 +186,13 @@ class _Maker:
 
     def start(self, values: Mapping[Declared, Any], config: Path | None) -> None:
         """Call the function with the records that these values make, after reading `config`."""
-        from camcal.run.option_paths import outputs_of
-        from camcal.run.outputs import watching
+        from camcal.run.options import outputs_of
+        from camcal.run.outputs import watch_files
 
         record = self.records[0]
         call = self.call(values)
         call.prepare()
-        with watching(read=[] if config is None else [config]) as run:
+        with watch_files(read=[] if config is None else [config]) as run:
             run.add(values)
             chosen = {each.path: values[each] for each in declared(record) if each in values}
             options = {} if record is NoOptions else {"options": assembled(record, chosen)}
@@ -206,12 +206,12 @@ class _Maker:
 
     def write(self, values: Mapping[Declared, Any], path: Path) -> None:
         """Write these values as a settings file, over none of the inputs that they name."""
-        from camcal.run.option_paths import inputs_of
-        from camcal.run.outputs import watching
+        from camcal.run.options import inputs_of
+        from camcal.run.outputs import watch_files
         from camcal.run.settings import write_settings
 
         inputs = [named for each, value in values.items() for named in inputs_of(each, value)]
-        with watching(read=inputs) as run:
+        with watch_files(read=inputs) as run:
             run.overwrite = any(value is True for each, value in values.items() if each.name == "--overwrite")
             run.plan_named(path)
             write_settings(path, self.name, settable(self.every), values)

@@ -20,7 +20,7 @@ from typer.core import CompletionItem, TyperGroup  # type: ignore[attr-defined] 
 from camcal import __version__
 from camcal.cli import examples, show
 from camcal.errors import EXIT_BUG, EXIT_INTERRUPTED, EXIT_SIGNAL, FileError, InvalidInput, translated
-from camcal.images import limits
+from camcal.images.options import set_default_max_pixels
 from camcal.parsing import in_one_line, nearest
 from camcal.run.process import BLAS_THREADS, Stopped, require_address_space, stop_on_signals
 
@@ -41,17 +41,17 @@ COMMANDS = (
     Entry("board", "calibrate:board", "Draw a calibration board for printing at true scale."),
     Entry("detect", "calibrate:detect", "Find the corners of a board in images."),
     Entry("calibrate", "calibrate:calibrate", "Calibrate one camera from images of a board."),
-    Entry("rig", "rig:rig", "Calibrate several cameras together."),
-    Entry("report", "reports:report", "Write a report as one HTML file."),
-    Entry("rerun", "reports:rerun", "Calibrate again from a report and compare."),
+    Entry("rig", "calibrate:rig", "Calibrate several cameras together."),
+    Entry("report", "inspect:report", "Write a report as one HTML file."),
+    Entry("rerun", "inspect:rerun", "Calibrate again from a report and compare."),
     Entry("undistort", "calibrate:undistort", "Undistort images, videos or points."),
-    Entry("plot", "reports:plot", "Draw figures of result files."),
+    Entry("plot", "inspect:plot", "Draw figures of result files."),
     Entry("convert", "inspect:convert", "Convert camera files from and to OpenCV, ROS and Kalibr."),
     Entry("inspect", "inspect:inspect", "Show a camera file or a raw frame."),
     Entry("demosaic", "raw:demosaic", "Demosaic raw frames."),
     Entry("sensor", "raw:sensor", "Measure a sensor by photon transfer (EMVA 1288)."),
     Entry("stereo", "", "Calibrate, rectify, check and match pairs; point clouds."),
-    Entry("stereo calibrate", "rig:stereo_calibrate", "Calibrate a pair of cameras."),
+    Entry("stereo calibrate", "calibrate:stereo_calibrate", "Calibrate a pair of cameras."),
     Entry("stereo rectify", "stereo:rectify", "Rectify the images of two cameras."),
     Entry("stereo run", "stereo:run", "From two folders to point clouds in one command."),
     Entry("stereo check", "stereo:check", "Check the rectification of a stereo pair."),
@@ -62,7 +62,7 @@ COMMANDS = (
     Entry("pnp", "poses:pnp", "Estimate poses from points, a board or tags."),
     Entry("track", "poses:track", "Track a board or tags over a video."),
     Entry("smooth", "poses:smooth", "Smooth trajectories or time series."),
-    Entry("fit", "fit:fit", "Fit a formula, a curve or a shape to data."),
+    Entry("fit", "poses:fit", "Fit a formula, a curve or a shape to data."),
     Entry("transform", "", "Compose, invert, chain, convert and apply poses."),
     Entry("transform chain", "transform:chain", "Chain the transforms between two frames."),
     Entry("transform eval", "transform:evaluate", "Evaluate a product of named transforms."),
@@ -72,9 +72,9 @@ COMMANDS = (
     Entry("transform average", "transform:average", "Average several estimates of one pose."),
     Entry("transform check", "transform:check", "Check whether poses are valid."),
     Entry("transform points", "transform:points", "Transform the points of a file to another frame."),
-    Entry("optics", "optics:optics", "Compute field of view, depth of field, resolution."),
+    Entry("optics", "raw:optics", "Compute field of view, depth of field, resolution."),
     Entry("run", "pipeline:run", "Run a pipeline of commands from one file."),
-    Entry("doctor", "doctor:doctor", "Check the installation."),
+    Entry("doctor", "inspect:doctor", "Check the installation."),
 )
 
 
@@ -292,7 +292,7 @@ def prepare() -> None:
     for name in BLAS_THREADS:
         os.environ.setdefault(name, "1")
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # typer's; it would read about every package there is
-    limits.set_default()
+    set_default_max_pixels()
     if not sys.warnoptions:  # whoever asks for Python's warnings has them
         warnings.simplefilter("ignore")
         os.environ.setdefault("PYTHONWARNINGS", "ignore")

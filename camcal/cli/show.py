@@ -83,7 +83,8 @@ def verdict(line: str, *, good: bool | None) -> None:
     """
     indent = len(line) - len(line.lstrip(" "))
     lines = _lines_of(line[: indent + 1].upper() + line[indent + 1 :])
-    if good is not None and _has_colours():
+    has_colours = _on_terminal() and not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"
+    if good is not None and has_colours:
         lines = [f"{_BOLD_GREEN if good else _BOLD_RED}{part}{_PLAIN}" for part in lines]
     _print(lines)
 
@@ -187,10 +188,6 @@ def width() -> int:
 def _on_terminal() -> bool:
     stream = _stream()
     return stream is not None and stream.isatty()
-
-
-def _has_colours() -> bool:
-    return _on_terminal() and not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"
 
 
 def printable(words: str) -> str:

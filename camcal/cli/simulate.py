@@ -115,7 +115,7 @@ def demo(options: DemoOptions, call: Call) -> None:
 
 def _show_demo(report: "DemoReport", output: Path, verbose: bool) -> None:
     from camcal.report.calibration import summary
-    from camcal.report.uncertain import value_and_std
+    from camcal.report.table import value_and_std
 
     show.trust(report.calibrated.assessment.failures)
     rows = [

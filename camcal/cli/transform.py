@@ -18,10 +18,8 @@ from camcal.tasks.frames.options import (
 )
 
 if TYPE_CHECKING:
-    from camcal.tasks.frames.transform import TransformResult
-    from camcal.tasks.frames.transform_convert import Converted
-    from camcal.tasks.frames.transform_points import MovedPoints
-    from camcal.tasks.frames.transform_quality import Averaged, Checked
+    from camcal.tasks.frames.transform import Averaged, Checked, TransformResult
+    from camcal.tasks.frames.transform_convert import Converted, MovedPoints
 
 ESTIMATE_COLUMNS = (Column("pose", file=True), Column("weight"), Column("off by", "mm"), Column("off by", "deg"))
 CHECK_COLUMNS = (
@@ -80,13 +78,13 @@ def _give(made: "TransformResult", output: Output, call: Call) -> None:
 
 def _show_made(made: "TransformResult", output: Output, *, verbose: bool) -> None:
     """Print transforms and what they were made of; beside bare numbers only where ways differ, as remarks."""
-    from camcal.report.transform import lines, loop_lines
+    from camcal.report.rig import loop_lines, transform_lines
 
     if output.numbers is not None and made.loops:
         for line in (f"made of {made.products[0]}", *loop_lines(made.loops)):
             show.text(f"# {line}")
     for transform, factors in zip(made.transforms, made.products, strict=True):
-        for line in lines(transform, output.numbers, verbose=verbose):
+        for line in transform_lines(transform, output.numbers, verbose=verbose):
             show.text(line)
         if output.numbers is None:
             show.text(f"  {'made of':<20}  {factors}")
@@ -113,10 +111,10 @@ def convert(options: ConvertOptions, call: Call) -> None:
 
 
 def _show_converted(converted: "Converted", output: Output, *, verbose: bool) -> None:
-    from camcal.report.transform import lines
+    from camcal.report.rig import transform_lines
 
     for transform in converted.transforms:
-        for line in lines(transform, output.numbers, verbose=verbose):
+        for line in transform_lines(transform, output.numbers, verbose=verbose):
             show.text(line)
     _wrote(output)
 
@@ -141,8 +139,8 @@ def average(options: AverageOptions, call: Call) -> None:
 
     The mean of rotations is the Karcher mean, which minimises the sum of squared angles.
     """
-    from camcal.tasks.frames.transform_quality import average as run
-    from camcal.tasks.frames.transform_quality import average_document
+    from camcal.tasks.frames.transform import average as run
+    from camcal.tasks.frames.transform import average_document
 
     averaged = run(options, call.progress)
     where = options.output
@@ -150,9 +148,9 @@ def average(options: AverageOptions, call: Call) -> None:
 
 
 def _show_average(averaged: "Averaged", output: Output, *, verbose: bool) -> None:
-    from camcal.report.transform import average_line, estimate_rows, lines
+    from camcal.report.rig import average_line, estimate_rows, transform_lines
 
-    for line in lines(averaged.transform, output.numbers, verbose=verbose):
+    for line in transform_lines(averaged.transform, output.numbers, verbose=verbose):
         show.text(line)
     if output.numbers is None:
         show.text(average_line(averaged.mean, weighted=averaged.weighted))
@@ -166,8 +164,8 @@ def check(options: CheckOptions, call: Call) -> None:
 
     A determinant of -1 is a reflection (a flipped axis or a left-handed frame) and is never corrected.
     """
-    from camcal.tasks.frames.transform_quality import check as run
-    from camcal.tasks.frames.transform_quality import check_document, require_good
+    from camcal.tasks.frames.transform import check as run
+    from camcal.tasks.frames.transform import check_document, require_good
 
     checked = run(options, call.progress)
     where = options.output
@@ -176,12 +174,12 @@ def check(options: CheckOptions, call: Call) -> None:
 
 
 def _show_check(checked: "Checked", output: Output, *, verbose: bool) -> None:
-    from camcal.report.transform import lines
+    from camcal.report.rig import transform_lines
 
     if output.numbers is None:
         show.table("checked", CHECK_COLUMNS, [pose.row for pose in checked.poses], verbose=verbose)
     for transform in checked.fixed:
-        for line in lines(transform, output.numbers, verbose=verbose):
+        for line in transform_lines(transform, output.numbers, verbose=verbose):
             show.text(line)
     if checked.fixed:
         _wrote(output)
@@ -193,16 +191,16 @@ def points(options: PointsOptions, call: Call) -> None:
     In a CSV the uncertainty of the transform is added to that of every point. It is common to all points and does not
     average out.
     """
-    from camcal.tasks.frames.transform_points import document, transform_points
+    from camcal.tasks.frames.transform_convert import points_document, transform_points
 
     moved = transform_points(options, call.progress)
-    call.give(lambda: document(moved), lambda: _show_points(moved, verbose=call.verbose))
+    call.give(lambda: points_document(moved), lambda: _show_points(moved, verbose=call.verbose))
 
 
 def _show_points(moved: "MovedPoints", *, verbose: bool) -> None:
-    from camcal.report.transform import lines
+    from camcal.report.rig import transform_lines
 
-    for line in lines(moved.transform, None, verbose=verbose):
+    for line in transform_lines(moved.transform, None, verbose=verbose):
         show.text(line)
     also = [word for word, has in (("normals", moved.normals), ("covariances", moved.covariances)) if has]
     show.text(f"{moved.count} points{' with ' + ' and '.join(also) if also else ''}")

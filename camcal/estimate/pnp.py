@@ -16,9 +16,8 @@ from camcal.arrays import FloatArray
 from camcal.cameras.model import Camera, Rig
 from camcal.errors import CamcalError, InsufficientData, InvalidInput
 from camcal.estimate.poses.fits import PoseFit, criterion_of, fits_of, points_needed, pooled
-from camcal.estimate.poses.moments import SINGULAR, scaled_eigenvalues
 from camcal.estimate.poses.packed_correspondences import Group, alike
-from camcal.estimate.poses.pose_quality import PoseQuality
+from camcal.estimate.poses.pose_quality import SINGULAR, PoseQuality, scaled_eigenvalues
 from camcal.estimate.poses.problem import lowest
 from camcal.estimate.poses.records import (
     CAMERA_T_OBJECT,

@@ -61,7 +61,11 @@ def average_poses(
         raise InsufficientData(f"{len(poses)} poses; a mean needs two or more")
     rotations = np.array([pose.rotation for pose in poses])
     translations = np.array([pose.translation for pose in poses])
-    start = _start(rotations, translations)
+    # it starts at the median of the translations, with the rotation of those given that is nearest to all others
+    quaternions = so3.to_quaternion(rotations)
+    tried = np.unique(np.linspace(0, len(rotations) - 1, _STARTS).astype(int))
+    half_angles = np.arccos(np.clip(np.abs(quaternions[tried] @ quaternions.T), 0, 1))
+    start = Pose(rotations[tried[np.argmin(half_angles.sum(axis=1))]], np.median(translations, axis=0))
     if covariances is not None:
         whitening = _whitening(np.array(covariances))
     else:
@@ -130,14 +134,6 @@ def _steps(mean: Pose, rotations: Array, translations: Array) -> Array:
     """Return the steps (N, 6) that take the mean to the estimates."""
     turns = so3.log(rotations @ mean.rotation.T)
     return np.concatenate([translations - mean.translation, turns], axis=1)
-
-
-def _start(rotations: Array, translations: Array) -> Pose:
-    """Return the median of the translations with the rotation, of those given, that is nearest to all others."""
-    quaternions = so3.to_quaternion(rotations)
-    tried = np.unique(np.linspace(0, len(rotations) - 1, _STARTS).astype(int))
-    half_angles = np.arccos(np.clip(np.abs(quaternions[tried] @ quaternions.T), 0, 1))
-    return Pose(rotations[tried[np.argmin(half_angles.sum(axis=1))]], np.median(translations, axis=0))
 
 
 def _spread(steps: Array) -> Array:

@@ -35,7 +35,14 @@ class ErrorFigures:
     @classmethod
     def of(cls, errors: Array) -> "ErrorFigures":
         """Return the figures of errors (N,)."""
-        values = (np.sqrt(np.mean(errors**2)), np.mean(errors), np.median(errors), np.std(errors), *_ends(errors))
+        values = (
+            np.sqrt(np.mean(errors**2)),
+            np.mean(errors),
+            np.median(errors),
+            np.std(errors),
+            errors.min(),
+            errors.max(),
+        )
         return cls(*map(float, values))
 
 
@@ -115,7 +122,9 @@ def trajectory_error(
     """
     compared, truth, alignment = aligned(estimate, reference, options)
     first, second = pairs(compared, options.delta, options.unit, options.all_pairs)
-    shift, turn = _relative_errors(compared, truth, first, second)
+    moved, turned = _motions(compared, first, second)
+    truly_moved, truly_turned = _motions(truth, first, second)
+    shift, turn = np.linalg.norm(moved - truly_moved, axis=1), so3.angle_between(truly_turned, turned)
     return TrajectoryError(
         len(compared),
         alignment,
@@ -215,18 +224,7 @@ def _every_pair(way: Array, delta: float, exact: bool) -> tuple[Array, Array]:
     return first[good], second[good]
 
 
-def _relative_errors(estimate: Trajectory, truth: Trajectory, first: Array, second: Array) -> tuple[Array, Array]:
-    """Return by how much the motions between poses differ: (M,) m and (M,) rad."""
-    moved, turned = _motions(estimate, first, second)
-    truly_moved, truly_turned = _motions(truth, first, second)
-    return np.linalg.norm(moved - truly_moved, axis=1), so3.angle_between(truly_turned, turned)
-
-
 def _motions(poses: Trajectory, first: Array, second: Array) -> tuple[Array, Array]:
     back = np.swapaxes(poses.rotations[first], 1, 2)
     moved = poses.translations[second] - poses.translations[first]
     return (back @ moved[:, :, None])[:, :, 0], back @ poses.rotations[second]
-
-
-def _ends(errors: Array) -> tuple[float, float]:
-    return float(errors.min()), float(errors.max())

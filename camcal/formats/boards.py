@@ -10,9 +10,21 @@ legacy: false                # optional: the pattern of OpenCV before 4.6; left 
 
 Each type of board has a size (columns, rows), a length that gives the scale, such as square_mm, and may have a second
 length, which can be given as a ratio of the first instead.
+
+The target file of Kalibr is the board of its calibrations, as YAML:
+
+target_type: aprilgrid       # or checkerboard, circlegrid
+tagCols: 6
+tagRows: 6
+tagSize: 0.088               # side of a tag over its black border, metres
+tagSpacing: 0.3              # the gap between two tags as a share of that
+codeOffset: 0                # optional: the id of the first tag
+
+An AprilGrid keeps Kalibr's numbers and frame. The points of the others are numbered as all of camcal's grids are, row
+by row; Kalibr's own frame of them has x along the columns of a checkerboard and of a plain circle grid.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -21,7 +33,7 @@ import numpy as np
 
 from camcal import files
 from camcal.errors import InvalidInput
-from camcal.formats import documents, emit, kalibr_target
+from camcal.formats import documents, emit
 from camcal.formats.documents import Check, Fault
 from camcal.formats.schema import flag, integer, items, mapping, number, one_of, text, unchecked
 from camcal.targets.board import Board, parse_board
@@ -38,10 +50,92 @@ from camcal.targets.board_types import (
     spacing_of,
 )
 
+KALIBR_KEY = "target_type"
+
+_LENGTH = number(positive=True)
+_GRID = {KALIBR_KEY: text, "targetCols": integer(2), "targetRows": integer(2)}
+_CHECKS = {
+    "aprilgrid": mapping(
+        {KALIBR_KEY: text, "tagCols": integer(1), "tagRows": integer(1), "tagSize": _LENGTH, "tagSpacing": _LENGTH},
+        {"codeOffset": integer(0)},
+    ),
+    "checkerboard": mapping({**_GRID, "rowSpacingMeters": _LENGTH, "colSpacingMeters": _LENGTH}),
+    "circlegrid": mapping({**_GRID, "spacingMeters": _LENGTH}, {"asymmetricGrid": flag}),
+}
+
 SUFFIXES = (".yaml", ".yml")
 SPACING = "spacing_ratio"  # of an AprilGrid: the gap between two tags as a share of a tag's side
 
 Data = Mapping[str, Any]
+
+
+def check_kalibr(data: Any, path: str) -> Iterator[Fault]:
+    """Check that plain data is a target of Kalibr's."""
+    kind = data[KALIBR_KEY]
+    if kind not in tuple(_CHECKS):
+        yield from one_of(tuple(_CHECKS), "target type")(kind, KALIBR_KEY)
+        return
+    faults = list(_CHECKS[kind](data, path))
+    if not faults and kind == "checkerboard" and data["rowSpacingMeters"] != data["colSpacingMeters"]:
+        faults.append(Fault("colSpacingMeters", "differs from rowSpacingMeters: squares are required"))
+    if not faults:
+        try:
+            board_of_kalibr(data)
+        except InvalidInput as error:
+            faults.append(Fault(path, error.message))
+    yield from faults
+
+
+def board_of_kalibr(data: Mapping[str, Any]) -> Board:
+    """Return the board of plain data that has passed `check`."""
+    return _READERS[data[KALIBR_KEY]](data)
+
+
+def kalibr_text(board: Board) -> str:
+    """Return the text of the target file of a board. Raises InvalidInput for one that Kalibr does not know."""
+    return emit.document(kalibr_data(board), "Target file for Kalibr")
+
+
+def kalibr_data(board: Board) -> dict[str, Any]:
+    """Return a board as plain data with the keys of a target file. Raises InvalidInput if Kalibr has none for it."""
+    if board.square is None:
+        raise InvalidInput("a Kalibr target file needs the size of the board")
+    if board.type == APRILGRID and board.dictionary == TAG_FAMILY:
+        side = board.marker or 0.0
+        tags = {"tagCols": board.columns, "tagRows": board.rows, "tagSize": side}
+        first = {"codeOffset": board.first_marker} if board.first_marker else {}
+        return {KALIBR_KEY: "aprilgrid", **tags, "tagSpacing": spacing_of(board.square, side), **first}
+    size = {"targetCols": board.columns, "targetRows": board.rows}
+    if board.type == CHESSBOARD and not board.dots:
+        return {KALIBR_KEY: "checkerboard", **size, "rowSpacingMeters": board.square, "colSpacingMeters": board.square}
+    if board.type in (CIRCLES, ASYMMETRIC_CIRCLES):
+        staggered = board.type == ASYMMETRIC_CIRCLES
+        return {KALIBR_KEY: "circlegrid", **size, "spacingMeters": board.square, "asymmetricGrid": staggered}
+    raise InvalidInput(
+        f"Kalibr does not support the {board.words}, only AprilGrids of {TAG_FAMILY}, checkerboards, circle grids"
+    )
+
+
+def _kalibr_aprilgrid(data: Mapping[str, Any]) -> Board:
+    fields = aprilgrid_fields(float(data["tagSize"]), float(data["tagSpacing"]))
+    first = data.get("codeOffset", 0)
+    return Board(APRILGRID, data["tagCols"], data["tagRows"], dictionary=TAG_FAMILY, first_marker=first, **fields)
+
+
+def _checkerboard(data: Mapping[str, Any]) -> Board:
+    return Board(CHESSBOARD, data["targetCols"], data["targetRows"], float(data["rowSpacingMeters"]))
+
+
+def _circlegrid(data: Mapping[str, Any]) -> Board:
+    kind = ASYMMETRIC_CIRCLES if data.get("asymmetricGrid", False) else CIRCLES
+    return Board(kind, data["targetCols"], data["targetRows"], float(data["spacingMeters"]))
+
+
+_READERS: Mapping[str, Callable[[Mapping[str, Any]], Board]] = {
+    "aprilgrid": _kalibr_aprilgrid,
+    "checkerboard": _checkerboard,
+    "circlegrid": _circlegrid,
+}
 
 
 def read(path: Path) -> Board:
@@ -50,7 +144,7 @@ def read(path: Path) -> Board:
     Raises InvalidInput with a line for every fault, FileError if the file cannot be read.
     """
     data = documents.load(path, _check_file).data
-    return kalibr_target.board_of(data) if kalibr_target.KEY in data else from_block(data)
+    return board_of_kalibr(data) if KALIBR_KEY in data else from_block(data)
 
 
 def write(path: Path, board: Board) -> None:
@@ -69,8 +163,8 @@ def names_file(text: str | Path) -> bool:
 
 
 def _check_file(data: Any, path: str) -> Iterator[Fault]:
-    kalibr = isinstance(data, dict) and kalibr_target.KEY in data
-    yield from kalibr_target.check(data, path) if kalibr else check(data, path)
+    kalibr = isinstance(data, dict) and KALIBR_KEY in data
+    yield from check_kalibr(data, path) if kalibr else check(data, path)
 
 
 def check(data: Any, path: str) -> Iterator[Fault]:

@@ -15,7 +15,7 @@ from camcal.geometry.frame_graph import FrameGraph
 from camcal.geometry.pose import JOINT, Derived, NamedTransform, Pose, frames_of
 from camcal.messages import Message
 from camcal.quality.projection_uncertainty import KnownRegion, ProjectionUncertainty
-from camcal.targets.surface import Surface
+from camcal.targets.board import Surface
 
 STEP = ("tx", "ty", "tz", "rx", "ry", "rz")  # of a pose, the order of its covariance
 FRAME = "rig"  # the name of a rig's own frame, where transforms name it

@@ -12,9 +12,11 @@ same names, a mapping for each point:
 
     points:
       - {image: a.png, id: 0, X: 0.0, Y: 0.0, Z: 0.0, u: 101.25, v: 88.5}
+
+Tables of points alone, which `camcal transform points` takes to another frame, are here too.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -25,9 +27,9 @@ from camcal import files
 from camcal.arrays import Array, readonly
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.estimate.poses.records import Correspondences
-from camcal.formats.documents import Document, Fault, child, load_either
+from camcal.formats.documents import Fault, child, load_either
 from camcal.formats.schema import mapping
-from camcal.formats.tables import COVARIANCE, Table, far_outside, numbered_lines, pixel_covariances
+from camcal.formats.tables import COVARIANCE, Table, cell, csv_rows, far_outside, numbered_lines, pixel_covariances
 
 COLUMNS = ("X", "Y", "Z", "u", "v")
 OPTIONAL = ("image", "id", "camera", "sigma", *COVARIANCE, "weight")
@@ -40,6 +42,13 @@ BEYOND = 1e12  # of a sigma, a variance or a weight; its inverse is the least
 _MAX_VALUES = 20_000_000  # of a YAML file, which is a table here
 
 Size = tuple[int, int]
+
+POSITION = ("x", "y", "z")
+NORMAL = ("nx", "ny", "nz")
+SPACE_COVARIANCE = ("sxx", "sxy", "sxz", "syy", "syz", "szz")
+
+_VARIANCES = ("sxx", "syy", "szz")
+_UPPER = np.triu_indices(3)
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +93,13 @@ def read(path: Path, image_size: Size | Mapping[str, Size]) -> PointViews:
 def _table(path: Path) -> Table:
     suffix = files.suffix_of(path)
     if suffix in (*JSON, *YAML):
-        return _of_document(load_either(path, mapping({"points": _check_points}), _MAX_VALUES))
+        document = load_either(path, mapping({"points": _check_points}), _MAX_VALUES)
+        points = document["points"]
+        names = list(points[0]) if points else list(COLUMNS)
+        rows = [[str(point[name]) for name in names] for point in points]
+        places = (f"points[{index}]" for index in range(len(points)))
+        lines = [document.line(place) if document.lines else place for place in places]
+        return Table.of_rows(document.where, names, rows, lines)
     return Table.from_csv(str(path), numbered_lines(path), COLUMNS, OPTIONAL)
 
 
@@ -106,14 +121,6 @@ def _check_points(points: Any, path: str) -> Iterator[Fault]:
 def _scalar(value: Any, path: str) -> Iterator[Fault]:
     if isinstance(value, bool) or not isinstance(value, (int, float, str)):
         yield Fault(path, "is not a number or text")
-
-
-def _of_document(document: Document) -> Table:
-    points = document["points"]
-    names = list(points[0]) if points else list(COLUMNS)
-    rows = [[str(point[name]) for name in names] for point in points]
-    places = (f"points[{index}]" for index in range(len(points)))
-    return Table.of_rows(document.where, names, rows, [document.line(at) if document.lines else at for at in places])
 
 
 def _weighty(table: Table) -> Table:
@@ -219,3 +226,85 @@ def _repeated(values: Array) -> Array:
     """Return the mask (N,) of rows (N, D) that are equal to an earlier one."""
     first = np.unique(values, axis=0, return_index=True)[1]
     return ~np.isin(np.arange(len(values)), first)
+
+
+@dataclass(frozen=True, eq=False)
+class PointTable:
+    """Points (N, 3), their normals (N, 3) and covariances (N, 3, 3) or None, in the unit of the table and its square.
+
+    NaN where a cell is empty. table: all columns as they stand in the file.
+    """
+
+    table: Table
+    points: Array
+    normals: Array | None = None
+    covariances: Array | None = None
+
+
+def read_point_table(path: Path) -> PointTable:
+    """Return the points of a CSV whose first row names its columns; lines that begin with # are left out.
+
+    Raises FileError, InvalidInput with file and line for a missing column, what is no number or infinite, and a
+    variance below zero.
+    """
+    lines = [(number, line) for number, line in numbered_lines(path) if not line.startswith("#")]
+    rows = csv_rows(str(path), lines)
+    names = [name.strip() for name in rows[0]] if rows else []
+    lower = [name.lower() for name in names]
+    if any(lower.count(name) != 1 for name in POSITION):
+        raise InvalidInput(f"the first row names the columns, x, y, z once among them; found {names}", where=str(path))
+    if len(set(lower)) < len(lower):
+        raise InvalidInput(f"column {max(lower, key=lower.count)!r} occurs twice", where=str(path))
+    table = Table.of_rows(str(path), names, rows[1:], [number for number, _ in lines[1:]])
+    covariances = _columns(table, SPACE_COVARIANCE)
+    points = _columns(table, POSITION)
+    assert points is not None  # the columns are there
+    return PointTable(table, points, _columns(table, NORMAL), None if covariances is None else _full(covariances))
+
+
+def write_point_table(path: Path, points: PointTable) -> None:
+    """Write the table with these points, normals and covariances in the place of its own, numbers with 12 digits."""
+    columns = dict(points.table.columns)
+    for names, values in (
+        (POSITION, points.points),
+        (NORMAL, points.normals),
+        (SPACE_COVARIANCE, None if points.covariances is None else points.covariances[:, *_UPPER]),
+    ):
+        for name, column in zip(names, () if values is None else values.T, strict=values is not None):
+            columns[_find_column(columns, name)] = [
+                "" if np.isnan(value) else f"{value + 0.0:.12g}" for value in column
+            ]
+    rows = [list(columns), *zip(*columns.values(), strict=True)]
+    files.write_text(path, "".join(",".join(map(cell, row)) + "\n" for row in rows))
+
+
+def _find_column(columns: Iterable[str], name: str) -> str:
+    """Return how the table writes a column's name, or the name if it has none such."""
+    return next((known for known in columns if known.lower() == name), name)
+
+
+def _columns(table: Table, names: Sequence[str]) -> Array | None:
+    """Return columns of numbers (N, len(names)), None if the table has none of them; raises InvalidInput for some."""
+    known = [_find_column(table.columns, name) for name in names]
+    missing = [name for name in known if name not in table.columns]
+    if len(missing) == len(names):
+        return None
+    if missing:
+        raise InvalidInput(f"column {missing[0]!r} is missing; needed with {', '.join(names)}", where=table.path)
+    columns = [table.numbers_or_empty(name) for name in known]
+    for name, column in zip(known, columns, strict=True):
+        if name.lower() in _VARIANCES:
+            _refuse_negative(table, name, column)
+    return np.column_stack(columns)
+
+
+def _refuse_negative(table: Table, name: str, column: Array) -> None:
+    table.refuse(column < 0, lambda row: f"{name}: {table.columns[name][row]} is not a variance")
+
+
+def _full(upper: Array) -> Array:
+    """Return matrices (N, 3, 3) of their upper triangles (N, 6)."""
+    result = np.empty((len(upper), 3, 3))
+    result[:, *_UPPER] = upper
+    result[:, _UPPER[1], _UPPER[0]] = upper
+    return result

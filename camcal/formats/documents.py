@@ -125,7 +125,7 @@ def parse(text: str, where: str, check: Check | None = None, max_values: int = M
     """
     if text.startswith("%YAML:"):
         raise FileError("starts with %YAML:, which only OpenCV reads; camcal files start with %YAML 1.1", where=where)
-    return _parsed(text, _Builder(where, max_values), check)
+    return _parse(text, _Builder(where, max_values), check)
 
 
 def parse_foreign(text: str, where: str) -> Document:
@@ -135,10 +135,10 @@ def parse_foreign(text: str, where: str) -> Document:
     number or a date is text. Raises as `parse` does.
     """
     text = re.sub(r"\A%YAML[^\n]*", "", text)  # the line stays, so that others keep their numbers
-    return _parsed(text, _Builder(where, MAX_FOREIGN_VALUES, foreign=True), None)
+    return _parse(text, _Builder(where, MAX_FOREIGN_VALUES, foreign=True), None)
 
 
-def _parsed(text: str, builder: "_Builder", check: Check | None) -> Document:
+def _parse(text: str, builder: "_Builder", check: Check | None) -> Document:
     """Return the document of a text, having passed `check` over its data."""
     where = builder.where
     try:

@@ -25,7 +25,7 @@ from camcal.formats.covariance import QUATERNION, why_no_covariance
 from camcal.formats.documents import Check, Document, Fault, child, load_either
 from camcal.formats.native import check_name
 from camcal.formats.pose_text import Form, LoosePose, form_named
-from camcal.formats.poses import plain as plain_poses
+from camcal.formats.poses import record as plain_poses
 from camcal.formats.schema import COVARIANCE_OF_POSE, STD, integer, items, mapping, matrix, number, one_of, text
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import NamedTransform, Pose, frames_of

@@ -31,7 +31,8 @@ from typing import Any
 import numpy as np
 
 from camcal.cameras.catalogue import MODELS
-from camcal.cameras.model import Camera, CameraModel
+from camcal.cameras.lens import CameraModel
+from camcal.cameras.model import Camera
 from camcal.cameras.validity import ImageCircle
 from camcal.formats import boards, covariance
 from camcal.formats.camera_file import CalibrationNoise, CalibrationVerdict, CameraEntry, ProjectionStd, ValidRegion
@@ -52,7 +53,7 @@ from camcal.formats.schema import (
 )
 from camcal.parsing import did_you_mean, nearest
 from camcal.quality.projection_uncertainty import KnownRegion
-from camcal.targets.surface import CLASSES, CORNER_CLASSES, OFFSETS, TERMS, TIERS, Surface
+from camcal.targets.board import CLASSES, CORNER_CLASSES, OFFSETS, TERMS, TIERS, Surface
 
 FIGURES = ("rms_px", "mean_px", "median_px", "p95_px", "max_px", "chi2_per_degree")
 COUNTS = ("images_used", "images_total", "points_used", "points_total", "points_rejected")

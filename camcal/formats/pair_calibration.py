@@ -142,7 +142,7 @@ def _camera_matrix(entries: Mapping[str, _Entry], name: str, path: Path) -> Arra
     rows = entry.text.removeprefix("[").removesuffix("]").split(";")
     if not (entry.text.startswith("[") and entry.text.endswith("]") and len(rows) == 3):
         raise InvalidInput(f"{name} is not written as [fx 0 cx; 0 fy cy; 0 0 1]", where=entry.where)
-    matrix = np.array([_parsed(row, name, 3, entry.where) for row in rows])
+    matrix = np.array([_parse(row, name, 3, entry.where) for row in rows])
     _require_pinhole(matrix, entry.where)
     return matrix
 
@@ -155,7 +155,7 @@ def _require_pinhole(matrix: Array, where: str) -> None:
 
 def _numbers(entries: Mapping[str, _Entry], name: str, count: int, path: Path) -> Array:
     entry = _entry(entries, name, path)
-    return np.array(_parsed(entry.text, name, count, entry.where))
+    return np.array(_parse(entry.text, name, count, entry.where))
 
 
 def _whole(entries: Mapping[str, _Entry], name: str, path: Path) -> int:
@@ -171,7 +171,7 @@ def _entry(entries: Mapping[str, _Entry], name: str, path: Path) -> _Entry:
     return entries[name]
 
 
-def _parsed(text: str, name: str, count: int, where: str) -> list[float]:
+def _parse(text: str, name: str, count: int, where: str) -> list[float]:
     """Return the finite numbers of a text, which must be `count`."""
     try:
         numbers = parse_numbers(text.split())

@@ -147,13 +147,17 @@ class Form:
             case "matrix" | "kitti":
                 return _of_matrix(numbers)
             case "dual-quat":
-                return _of_dual(numbers)
+                norm = float(np.linalg.norm(numbers[:4]))
+                if not norm > 0:
+                    return LoosePose(np.full((3, 3), np.nan), np.zeros(3), norm)
+                rotation, translation = from_dual_quaternion(numbers)
+                return LoosePose(rotation, translation, norm, float(dual_quaternion_error(numbers)))
             case "colmap":
                 return _of_quaternion(numbers[:4], numbers[4:])
             case "quat" | "tum" | "ros":
                 order = _QUATERNIONS[self.quaternion]
                 return _of_quaternion(numbers[-4:][list(order)], _before(numbers, 4))
-        angles = _checked(numbers[-3:] * _UNITS[self.unit])
+        angles = _check(numbers[-3:] * _UNITS[self.unit])
         matrix = so3.exp(angles) if self.euler is None else from_euler(angles, self.euler)
         return LoosePose(matrix, _before(numbers, 3))
 
@@ -236,12 +240,12 @@ def elementary(text: str) -> LoosePose:
     found = _ELEMENTARY.fullmatch(text.strip())
     if found is None or found[3] is None or not is_number(found[2]):
         raise InvalidInput("a turn about an axis is an angle with its unit, such as Rz(90deg) or Rz(1.57rad)")
-    (angle,) = _checked(numbers_in(found[2]) * _UNITS[found[3]])
+    (angle,) = _check(numbers_in(found[2]) * _UNITS[found[3]])
     turns = {"x": so3.about_x, "y": so3.about_y, "z": so3.about_z}
     return LoosePose(turns[found[1]](angle), np.zeros(3))
 
 
-def _checked(angles: Array) -> Array:
+def _check(angles: Array) -> Array:
     """Return angles (N,) in radians; raises InvalidInput if one is too large to say a direction."""
     if not np.abs(angles).max() <= LARGEST_ANGLE:
         raise InvalidInput(f"an angle of more than {LARGEST_ANGLE:g} rad is not a valid rotation")
@@ -267,14 +271,6 @@ def _of_quaternion(quaternion: Array, translation: Array) -> LoosePose:
     return LoosePose(so3.from_quaternion(quaternion) if norm > 0 else np.full((3, 3), np.nan), translation, norm)
 
 
-def _of_dual(numbers: Array) -> LoosePose:
-    norm = float(np.linalg.norm(numbers[:4]))
-    if not norm > 0:
-        return LoosePose(np.full((3, 3), np.nan), np.zeros(3), norm)
-    rotation, translation = from_dual_quaternion(numbers)
-    return LoosePose(rotation, translation, norm, float(dual_quaternion_error(numbers)))
-
-
 def read(path: Path, form: Form | None = None) -> Pose:
     """Return the pose of a file: 16 or 12 numbers, row by row, or the 8 of TUM (time tx ty tz qx qy qz qw), metres.
 
@@ -289,7 +285,7 @@ def read_loose(path: Path, form: Form | None = None) -> LoosePose:
     """Return the pose of a file as `read` does, but as it is written, which may be none."""
     text = files.read_text(path, _LIMIT)
     with Located(path):
-        return _parsed(text, form)
+        return _parse(text, form)
 
 
 def name_in(path: Path) -> str:
@@ -320,7 +316,7 @@ def static_transform_publisher(frames: str, a_T_b: Pose) -> str:
     return f"ros2 run tf2_ros static_transform_publisher {options} --frame-id {a} --child-frame-id {b}"
 
 
-def _parsed(text: str, form: Form | None) -> LoosePose:
+def _parse(text: str, form: Form | None) -> LoosePose:
     lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith(_COMMENT_MARK)]
     if lines and not is_row(" ".join(lines)):
         raise FileError("not a list of numbers")

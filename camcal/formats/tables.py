@@ -163,7 +163,7 @@ def csv_rows(path: str, lines: Lines) -> list[list[str]]:
         for row in reader:
             if reader.line_num > len(rows) + 1:
                 break
-            rows.append([_unshielded(text) for text in row] if _APOSTROPHE in "".join(row) else row)
+            rows.append([_unshield(text) for text in row] if _APOSTROPHE in "".join(row) else row)
         else:
             return rows
     except csv.Error as error:
@@ -212,7 +212,7 @@ def cell(text: str) -> str:
     return text
 
 
-def _unshielded(text: str) -> str:
+def _unshield(text: str) -> str:
     """Return a cell without the apostrophe that `cell` put before what resembles a formula."""
     inner = text.removeprefix(_APOSTROPHE)
     return inner if inner != text and inner.lstrip(_APOSTROPHE)[:1] in _FORMULA else text

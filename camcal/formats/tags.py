@@ -32,8 +32,8 @@ from camcal.geometry import rotation
 from camcal.geometry.pose import Pose
 from camcal.parsing import parse_integer, parse_number
 from camcal.targets.board_types import METRES, without_unit
-from camcal.targets.markers.families import Family, family_named
-from camcal.targets.markers.tags import OPENCV, TAG_FRAMES, TagObjects, require_id, require_quadrangle, tag_corners
+from camcal.targets.markers import OPENCV, TAG_FRAMES, TagObjects, require_id, require_quadrangle, tag_corners
+from camcal.targets.pattern import Family, family_named
 
 SUFFIXES = (".yaml", ".yml")
 SHORT = "FAMILY:SIZE[:IDS], such as tag36h11:53mm or DICT_4X4_50:40mm:0,1,5"

@@ -203,7 +203,10 @@ def evaluate(text: str, transforms: Mapping[str, NamedTransform]) -> FrameProduc
 def _value(node: ast.expr, transforms: Mapping[str, NamedTransform]) -> FrameProduct:
     match node:
         case ast.Name(id=name):
-            return _named(name, transforms)
+            if name not in transforms:
+                raise InvalidInput(f"no transform {name!r}{_suggestion(name, transforms)}")
+            found = transforms[name]
+            return FrameProduct(found.target, found.source, Derived.of(name, found.pose), name)
         case ast.BinOp(left=left, op=ast.Mult() | ast.MatMult(), right=right):
             return _product(_value(left, transforms), _value(right, transforms))
         case ast.Call(func=ast.Name(id="inv"), args=[inner], keywords=[]):
@@ -211,13 +214,6 @@ def _value(node: ast.expr, transforms: Mapping[str, NamedTransform]) -> FramePro
             return FrameProduct(value.source, value.target, value.derived.inverse(), f"inv({value.text})")
         case _:
             raise InvalidInput(f"{ast.unparse(node)!r} is not supported: use names a_T_b, *, inv() and parentheses")
-
-
-def _named(name: str, transforms: Mapping[str, NamedTransform]) -> FrameProduct:
-    if name not in transforms:
-        raise InvalidInput(f"no transform {name!r}{_suggestion(name, transforms)}")
-    found = transforms[name]
-    return FrameProduct(found.target, found.source, Derived.of(name, found.pose), name)
 
 
 def _suggestion(name: str, transforms: Mapping[str, NamedTransform]) -> str:

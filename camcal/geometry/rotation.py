@@ -213,7 +213,7 @@ def from_dual_quaternion(dual: Array) -> tuple[Array, Array]:
     dual = np.asarray(dual, dtype=float)
     length = np.linalg.norm(dual[..., :4], axis=-1, keepdims=True)
     real, moved = dual[..., :4] / length, dual[..., 4:] / length
-    return from_quaternion(real), 2 * _product(moved, _conjugate(real))[..., 1:]
+    return from_quaternion(real), 2 * _product(moved, real * [1.0, -1.0, -1.0, -1.0])[..., 1:]
 
 
 def dual_quaternion_error(dual: Array) -> Array:
@@ -225,10 +225,6 @@ def dual_quaternion_error(dual: Array) -> Array:
 def _pure(vector: Array) -> Array:
     vector = np.asarray(vector, dtype=float)
     return np.concatenate([np.zeros((*vector.shape[:-1], 1)), vector], axis=-1)
-
-
-def _conjugate(quaternion: Array) -> Array:
-    return np.asarray(quaternion * np.array([1.0, -1, -1, -1]))
 
 
 def _product(left: Array, right: Array) -> Array:
@@ -309,7 +305,10 @@ def to_euler(rotation: Array, order: EulerOrder) -> EulerAngles:
         last_axis = k
     locked = off_lock < LOCK
     first = np.where(locked, _first_where_locked(r, i, j, order), first)
-    last = _last(r, first, i, j, last_axis)
+    # the first turn undone, the row of the middle axis knows nothing of the middle turn
+    row = np.swapaxes(_about(_AXES[i], first), -1, -2)[..., j : j + 1, :] @ r
+    other = 3 - last_axis - j
+    last = np.asarray(np.arctan2(-_parity(last_axis, j) * row[..., 0, other], row[..., 0, j]))
     last = np.where(locked & order.intrinsic, 0.0, last)
     turns = np.stack([first, middle, last], -1)
     return EulerAngles(turns if order.intrinsic else turns[..., ::-1], locked)
@@ -321,13 +320,6 @@ def _first_where_locked(r: Array, i: int, j: int, order: EulerOrder) -> Array:
         return np.zeros(r.shape[:-2])
     other = 3 - i - j
     return np.asarray(np.arctan2(_parity(i, j) * r[..., other, j], r[..., j, j]))
-
-
-def _last(r: Array, first: Array, i: int, j: int, axis: int) -> Array:
-    """Return the last turn, once the first is undone: the row of the middle axis knows nothing of the middle turn."""
-    row = np.swapaxes(_about(_AXES[i], first), -1, -2)[..., j : j + 1, :] @ r
-    other = 3 - axis - j
-    return np.asarray(np.arctan2(-_parity(axis, j) * row[..., 0, other], row[..., 0, j]))
 
 
 def _parity(first: int, second: int) -> int:

@@ -301,9 +301,9 @@ def insert_exif(content: bytes, block: bytes) -> bytes:
     if content.startswith(PNG):
         chunk = b"eXIf" + block
         whole = len(block).to_bytes(4, "big") + chunk + zlib.crc32(chunk).to_bytes(4, "big")
-        return _inserted(content, content.index(b"IDAT") - 4, whole)
+        return _insert(content, content.index(b"IDAT") - 4, whole)
     payload = _EXIF_HEADER + block
-    return _inserted(content, 2, bytes([0xFF, _APP1]) + (len(payload) + 2).to_bytes(2, "big") + payload)
+    return _insert(content, 2, bytes([0xFF, _APP1]) + (len(payload) + 2).to_bytes(2, "big") + payload)
 
 
 def _segments(content: bytes) -> Iterator[tuple[int, int, int]]:
@@ -323,5 +323,5 @@ def _segments(content: bytes) -> Iterator[tuple[int, int, int]]:
             position = end
 
 
-def _inserted(content: bytes, position: int, piece: bytes) -> bytes:
+def _insert(content: bytes, position: int, piece: bytes) -> bytes:
     return b"".join((content[:position], piece, content[position:]))

@@ -39,8 +39,8 @@ def conversion_advice(suffixes: Iterable[str]) -> str:
     if not kinds:
         return ""
     suffix = next(suffix for suffix in _FOREIGN[kinds[0]] if suffix in lower)
-    own = f"'heif-convert photo{suffix} photo.png' or " if kinds[0] == "HEIF" else ""
-    how = f"{own}'magick mogrify -format png *{suffix}'"
+    heif_advice = f"'heif-convert photo{suffix} photo.png' or " if kinds[0] == "HEIF" else ""
+    how = f"{heif_advice}'magick mogrify -format png *{suffix}'"
     return f"{' and '.join(kinds)} images are not read: convert them to PNG or JPEG first, such as with {how}"
 
 
@@ -101,7 +101,7 @@ class Scratch:
 
     def array(self, role: str, shape: tuple[int, ...], dtype: DTypeLike) -> Array:
         """Return an array of this shape and type, its content left from the last use."""
-        known = self._arrays.get(role)
-        if known is None or known.shape != shape or known.dtype != dtype:
-            known = self._arrays[role] = np.empty(shape, dtype)
-        return known
+        array = self._arrays.get(role)
+        if array is None or array.shape != shape or array.dtype != dtype:
+            array = self._arrays[role] = np.empty(shape, dtype)
+        return array

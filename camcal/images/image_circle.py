@@ -119,8 +119,15 @@ def _find_circle(brightest: Array) -> MeasuredCircle | None:
     low, high = np.percentile(brightest, _RANGE)
     if high - low < _LEAST_RANGE or low > _DARK * high:
         return None
-    circles = (_at_threshold(brightest, float(low + share * (high - low))) for share in _THRESHOLDS)
-    accepted = [circle for circle in circles if circle is not None and _is_image_circle(circle)]
+    accepted = []
+    for share in _THRESHOLDS:
+        threshold = float(low + share * (high - low))
+        points = _outline(brightest, threshold)
+        start = _best_of_triplets(points, brightest.shape)
+        fitted = None if start is None else _fit_circle(points, start, brightest.shape)
+        circle = None if fitted is None else _describe(fitted, points, brightest, threshold)
+        if circle is not None and _is_image_circle(circle):
+            accepted.append(circle)
     return max(accepted, key=lambda circle: circle.supported, default=None)
 
 
@@ -131,14 +138,6 @@ def _is_image_circle(circle: MeasuredCircle) -> bool:
         and circle.dark_outside > _LEAST_DARK
         and circle.dark_corners >= _LEAST_CORNERS
     )
-
-
-def _at_threshold(brightest: Array, threshold: float) -> MeasuredCircle | None:
-    """Return the circle that fits the outline of the bright region of an image (h, w) best, whatever it is."""
-    points = _outline(brightest, threshold)
-    start = _best_of_triplets(points, brightest.shape)
-    circle = None if start is None else _fit_circle(points, start, brightest.shape)
-    return None if circle is None else _describe(circle, points, brightest, threshold)
 
 
 def _outline(brightest: Array, threshold: float) -> Array:
@@ -238,7 +237,9 @@ def _describe(circle: Array, points: Array, brightest: Array, threshold: float) 
     directions = (np.arange(_SECTORS) + 0.5) * (2 * np.pi / _SECTORS)
     rim = circle[:2] + circle[2] * np.column_stack([np.cos(directions), np.sin(directions)])
     visible = _off_border(rim, brightest.shape)
-    supported = np.isin(np.arange(_SECTORS), _sectors(points[np.abs(deviations) < _RIM] - circle[:2]))
+    across, down = (points[np.abs(deviations) < _RIM] - circle[:2]).T
+    sectors = np.floor(np.arctan2(down, across) / (2 * np.pi) * _SECTORS).astype(int) % _SECTORS
+    supported = np.isin(np.arange(_SECTORS), sectors)
     rows, columns = np.indices(brightest.shape)
     radii = np.hypot(columns - circle[0], rows - circle[1]) / circle[2]
     outside = brightest[radii > 1 + _RIM]
@@ -252,9 +253,3 @@ def _describe(circle: Array, points: Array, brightest: Array, threshold: float) 
         dark_outside=float((outside < threshold).mean()) if outside.size else 0.0,
         dark_corners=sum(bool(radii[at].min() > 1 and np.median(brightest[at]) < threshold) for at in _CORNERS),
     )
-
-
-def _sectors(offsets: Array) -> Array:
-    """Return the sector (N,) of the circle that each offset (N, 2) from its centre points to."""
-    turns = np.arctan2(offsets[:, 1], offsets[:, 0]) / (2 * np.pi)
-    return np.floor(turns * _SECTORS).astype(int) % _SECTORS

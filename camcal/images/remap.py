@@ -18,7 +18,7 @@ from camcal.cameras.model import Camera
 from camcal.cameras.validity import ImageCircle
 from camcal.errors import InvalidInput
 from camcal.images.image import Scratch
-from camcal.images.limits import require_view
+from camcal.images.options import require_view
 from camcal.opencv import LONGEST_REMAPPED, remap
 
 NEAREST_TRUNCATE = "nearest-truncate"
@@ -149,7 +149,7 @@ def build_maps(
     width, height = view.image_size
     x, y = np.empty((2, height, width), np.float32)
     for rows, band in exact_bands(trace) if interpolation == NEAREST_TRUNCATE else bands(trace):
-        x[rows], y[rows] = _settled(band, source.image_size, interpolation)
+        x[rows], y[rows] = _keep_inside(band, source.image_size, interpolation)
     x.setflags(write=False)
     y.setflags(write=False)
     return Maps(x, y, source.image_size, interpolation)
@@ -165,19 +165,19 @@ def align_channels(maps: Maps, lenses: Mapping[str, Camera], view: Camera) -> Ma
     unknown = sorted(set(lenses) - set(CHANNELS))
     if unknown:
         raise InvalidInput(f"channel {unknown[0]!r} is not an image channel; use one of {', '.join(CHANNELS)}")
-    own = {CHANNELS.index(colour): _followed(maps, lens, view) for colour, lens in lenses.items()}
-    return replace(maps, aligned=MappingProxyType(own))
+    aligned = {CHANNELS.index(colour): _follow(maps, lens, view) for colour, lens in lenses.items()}
+    return replace(maps, aligned=MappingProxyType(aligned))
 
 
-def _followed(maps: Maps, lens: Camera, view: Camera) -> Maps:
+def _follow(maps: Maps, lens: Camera, view: Camera) -> Maps:
     """Return the maps of a lens with a source exactly where other maps have one; theirs, where it shows nothing."""
     x, y = np.empty((2, *maps.x.shape), np.float32)
     largest = np.array(maps.source_size, np.float32)[:, None, None] - 1
     trace = Trace(lens, view)
     for rows, band in exact_bands(trace) if maps.interpolation == NEAREST_TRUNCATE else bands(trace):
         main = np.stack([maps.x[rows], maps.y[rows]])
-        own = np.clip(_round_band(band, maps.interpolation), 0, largest)
-        x[rows], y[rows] = np.where(np.isfinite(own).all(axis=0) & (main[0] != _OUTSIDE), own, main)
+        places = np.clip(_round_band(band, maps.interpolation), 0, largest)
+        x[rows], y[rows] = np.where(np.isfinite(places).all(axis=0) & (main[0] != _OUTSIDE), places, main)
     x.setflags(write=False)
     y.setflags(write=False)
     return replace(maps, x=x, y=y)
@@ -190,7 +190,7 @@ def _round_band(band: Array, interpolation: str) -> Array:
     return np.floor(band + _POSITION_TOLERANCE, out=band) if interpolation == NEAREST_TRUNCATE else band
 
 
-def _settled(band: Array, source_size: tuple[int, int], interpolation: str) -> Array:
+def _keep_inside(band: Array, source_size: tuple[int, int], interpolation: str) -> Array:
     """Return positions (2, rows, W) rounded where asked for, on the border if a hair outside, else far outside."""
     band = _round_band(band, interpolation)
     largest = np.array(source_size, band.dtype)[:, None, None] - 1
@@ -273,8 +273,8 @@ def _rough_cells(trace: Trace, nodes: Array) -> Array:
     middle = trace.positions((np.arange(columns) + 0.5) * STEP, (np.arange(rows)[:, None] + 0.5) * STEP)
     half = _cubic(np.array([0.5]))[0]
     guess = sliding_window_view(sliding_window_view(nodes, 4, axis=2) @ half, 4, axis=1) @ half
-    known = sliding_window_view(np.isfinite(nodes[0]), (4, 4)).any(axis=(2, 3)) | np.isfinite(middle[0])
-    return np.asarray(known & ~(np.abs(guess - middle).max(axis=0) < ACCURACY))
+    within = sliding_window_view(np.isfinite(nodes[0]), (4, 4)).any(axis=(2, 3)) | np.isfinite(middle[0])
+    return np.asarray(within & ~(np.abs(guess - middle).max(axis=0) < ACCURACY))
 
 
 def _cubic(t: Array) -> Array:

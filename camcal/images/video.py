@@ -10,8 +10,8 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.errors import FileError
-from camcal.images import limits
 from camcal.images.image import Image
+from camcal.images.options import require_pixels
 from camcal.urls import local
 
 BARE_SUFFIXES = frozenset({".mjpeg", ".mjpg", ".h264", ".264", ".h265", ".265", ".hevc"})  # pictures without times
@@ -30,7 +30,7 @@ def frames(path: Path) -> Iterator[Image]:
 
     Raises FileError if the file is missing or no video, and after the last frame if many are missing.
     """
-    with _opened(path) as capture:
+    with _open(path) as capture:
         yield from _read(path, capture)
 
 
@@ -40,7 +40,7 @@ def frame_name(video: Path, number: int) -> str:
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[cv2.VideoCapture]:
+def _open(path: Path) -> Iterator[cv2.VideoCapture]:
     if not path.is_file() or path.stat().st_size == 0:
         raise FileError("is empty" if path.is_file() else "no such file", where=str(path))
     capture = cv2.VideoCapture(str(local(path)))
@@ -49,7 +49,7 @@ def _opened(path: Path) -> Iterator[cv2.VideoCapture]:
             raise FileError("not a readable video, or truncated", where=str(path))
         sides = (capture.get(side) for side in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
         width, height = map(int, sides)
-        limits.require_pixels((width, height), path)
+        require_pixels((width, height), path)
         yield capture
     finally:
         capture.release()
@@ -60,7 +60,7 @@ def stamps(path: Path) -> Array | None:
 
     Raises FileError if the file is missing or no video.
     """
-    with _opened(path) as capture:
+    with _open(path) as capture:
         times = []
         while capture.grab():
             times.append(capture.get(cv2.CAP_PROP_POS_MSEC) / 1000)

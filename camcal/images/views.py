@@ -8,7 +8,7 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.cameras import panoramic
 from camcal.cameras.catalogue import model_named
-from camcal.cameras.model import Camera, CameraModel
+from camcal.cameras.model import Camera
 from camcal.cameras.validity import ImageCircle, rim
 from camcal.errors import InvalidInput
 from camcal.images.options import PINHOLE, WIDEST_PINHOLE_DEG, ViewOptions, refuse_pinhole, widest_deg
@@ -37,7 +37,13 @@ def make_view(camera: Camera, options: ViewOptions | None = None, circle: ImageC
         return Camera(model, size, model.rescale(parameters, scale, (0.0, 0.0)))
     if options.projection == PINHOLE and options.fov_deg is None:
         return _crop(camera, circle, options.alpha or 0.0, size, stretch=options.stretch)
-    return _span_field(camera, circle, options.projection, options.fov_deg, size)
+    fov_deg = options.fov_deg
+    if fov_deg is None:  # what the lens sees across
+        fov_deg = min(widest_deg(options.projection), np.degrees(seen_across(camera, circle)))
+    fov = np.radians(fov_deg)
+    model = model_named(PINHOLE) if options.projection == PINHOLE else PANORAMAS[options.projection]
+    half_width = np.tan(fov / 2) if options.projection == PINHOLE else PANORAMAS[options.projection].half_width(fov)
+    return Camera(model, size, model.start(size, size[0] / 2 / half_width))
 
 
 def seen_across(camera: Camera, circle: ImageCircle | None = None) -> float:
@@ -48,21 +54,6 @@ def seen_across(camera: Camera, circle: ImageCircle | None = None) -> float:
     if not np.isfinite(angles).any():  # the lens model ends before the image does
         angles = _angles(_outline(camera, circle))
     return float(2 * np.nanmax(angles))
-
-
-def _span_field(
-    camera: Camera, circle: ImageCircle | None, projection: str, fov_deg: float | None, size: tuple[int, int]
-) -> Camera:
-    """Return the view that spans the field of view from edge to edge, or what the lens sees across."""
-    seen_deg = min(widest_deg(projection), np.degrees(seen_across(camera, circle))) if fov_deg is None else fov_deg
-    fov = np.radians(seen_deg)
-    if projection == PINHOLE:
-        return _of_half_width(model_named(PINHOLE), size, np.tan(fov / 2))
-    return _of_half_width(PANORAMAS[projection], size, PANORAMAS[projection].half_width(fov))
-
-
-def _of_half_width(model: CameraModel, size: tuple[int, int], half_width: float) -> Camera:
-    return Camera(model, size, model.start(size, size[0] / 2 / half_width))
 
 
 def _crop(camera: Camera, circle: ImageCircle | None, alpha: float, size: tuple[int, int], *, stretch: bool) -> Camera:

@@ -10,8 +10,7 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from scipy.stats import chi2, norm
-from scipy.stats import t as student
+from scipy.special import chdtrc, ndtri, stdtrit
 
 from camcal.arrays import Array, FloatArray
 from camcal.brief import Brief
@@ -198,7 +197,7 @@ def _few_views_factor(count: int) -> float:
     if count >= _FEW_FOR_SCATTER:
         return 1.0
     quantile = (1 + _INTERVAL) / 2
-    return float(student.ppf(quantile, max(count - 1, 1)) / norm.ppf(quantile))
+    return float(stdtrit(max(count - 1, 1), quantile) / ndtri(quantile))
 
 
 def _views(calibration: Calibration) -> Iterator[Message]:
@@ -360,7 +359,7 @@ def radial_trend(calibration: Calibration) -> Trend:
     return Trend(
         float(means[worst]),
         (float(edges[worst]), float(edges[worst + 1])),
-        float(chi2.sf(statistic, _RINGS)),
+        float(chdtrc(_RINGS, statistic)),
         radii=(edges[:-1] + edges[1:]) / 2,
         means=means,
     )

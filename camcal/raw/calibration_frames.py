@@ -24,9 +24,8 @@ import numpy as np
 from camcal import files
 from camcal.arrays import Array, readonly, require_shape
 from camcal.errors import InsufficientData, InvalidInput
-from camcal.images.load import load
+from camcal.images.files import load, save
 from camcal.images.npy import read_npy, write_npy
-from camcal.images.save import save
 from camcal.raw.mosaic import cell_side, is_x_trans, phases
 from camcal.raw.names import MONO
 
@@ -95,7 +94,11 @@ def stack(frames: Iterable[Array]) -> Stack:
         for extreme in extremes.astype(np.float64):
             sums[0] -= extreme
             sums[1] -= extreme * extreme
-    return Stack(count, sums[0] / kept, _deviation(sums[0], sums[1], kept))
+    mean, deviation = sums[0] / kept, np.full(sums[0].shape, np.nan, np.float32)
+    if kept > 1:
+        variance = (sums[1] - sums[0] * sums[0] / kept) / (kept - 1)
+        deviation = np.asarray(np.sqrt(np.maximum(variance, 0)), np.float32)
+    return Stack(count, mean, deviation)
 
 
 def dark_average(frames: Iterable[Array], white: float) -> Array:
@@ -122,13 +125,6 @@ def _require_frame(frame: Array, shape: tuple[int, ...], number: int) -> Array:
     if frame.dtype.kind == "f" and not np.isfinite(exact).all():
         raise InvalidInput(f"frame {number}: {np.count_nonzero(~np.isfinite(exact))} pixels are not finite")
     return exact
-
-
-def _deviation(total: Array, squares: Array, count: int) -> Array:
-    if count == 1:
-        return np.full(total.shape, np.nan, np.float32)
-    variance = (squares - total * total / count) / (count - 1)
-    return np.asarray(np.sqrt(np.maximum(variance, 0)), np.float32)
 
 
 def flat_gain(flat: Array, pattern: str, smoothing: float = 0.0) -> Array:
@@ -185,7 +181,12 @@ def read_map(path: Path, size: tuple[int, int]) -> Array:
     if suffix in MASK_SUFFIXES:
         mask = _fitting(load(path).pixels, size, path)
     elif suffix == ".npy":
-        mask = _mask_of_array(read_npy(path, kinds="bui"), size, path)
+        values = read_npy(path, kinds="bui")
+        if values.ndim == 2 and values.shape[1] == 2 and size[0] != 2:
+            points = ((x, y, f"{path}: entry {n}") for n, (x, y) in enumerate(values.tolist()))
+            mask = _mask_of_points(points, size)
+        else:
+            mask = _fitting(values, size, path)
     else:
         mask = _mask_of_points(_parse(path), size)
     return readonly(mask, (None, None), "bad pixel map", bool)
@@ -206,8 +207,8 @@ def write_map(path: Path, mask: Array) -> None:
         lines = [f"{x} {y} 0\n" for y, x in np.argwhere(mask).tolist()]
         files.write_text(path, f"# bad pixels of a {mask.shape[1]} x {mask.shape[0]} frame: x y time\n{''.join(lines)}")
     else:
-        known = ", ".join(sorted({".txt", ".npy"} | MASK_SUFFIXES))
-        raise InvalidInput(f"{suffix} is not a suffix of a bad pixel map; use one of {known}", where=str(path))
+        suffixes = ", ".join(sorted({".txt", ".npy"} | MASK_SUFFIXES))
+        raise InvalidInput(f"{suffix} is not a suffix of a bad pixel map; use one of {suffixes}", where=str(path))
 
 
 def make_map(darks: Iterable[Array], pattern: str) -> Array:
@@ -270,12 +271,6 @@ def _parse(path: Path) -> Iterator[tuple[int, int, str]]:
         yield int(match[1]), int(match[2]), where
 
 
-def _mask_of_array(values: Array, size: tuple[int, int], path: Path) -> Array:
-    if values.ndim == 2 and values.shape[1] == 2 and size[0] != 2:
-        return _mask_of_points(((x, y, f"{path}: entry {n}") for n, (x, y) in enumerate(values.tolist())), size)
-    return _fitting(values, size, path)
-
-
 def _mask_of_points(points: Iterable[tuple[int, int, str]], size: tuple[int, int]) -> Array:
     width, height = size
     mask = np.zeros((height, width), bool)
@@ -294,22 +289,21 @@ def _fitting(values: Array, size: tuple[int, int], path: Path) -> Array:
 
 
 def _outliers(values: Array, block: int) -> Array:
-    """Return which values (h, w) in counts, of one place of the cell, are far off the others."""
-    residual = values - _background(values, block)
+    """Return which values (h, w) in counts, of one place of the cell, are far off the others.
+
+    Medians over blocks are taken off first, interpolated and continued straight beyond the last centres.
+    """
+    (height, rows), (width, columns) = ((length, max(1, length // block)) for length in values.shape)
+    tall, wide = height // rows, width // columns
+    blocks = values[: rows * tall, : columns * wide].reshape(rows, tall, columns, wide)
+    medians = np.median(blocks.swapaxes(1, 2).reshape(rows, columns, -1), axis=2)
+    background = _interpolation(height, rows) @ medians @ _interpolation(width, columns).T
+    residual = values - np.asarray(background, np.float32)
     step = max(1, residual.size // _SAMPLES)
     residual -= np.median(residual.ravel()[::step])
     distance = np.abs(residual, out=residual)
     sigma = max(_SIGMA_PER_MAD * float(np.median(distance.ravel()[::step])), _ROUNDING)
     return np.asarray(distance > _OUTLIER * sigma)
-
-
-def _background(values: Array, block: int) -> Array:
-    """Return medians over blocks, interpolated to all values (h, w) and continued straight beyond the last centres."""
-    (height, rows), (width, columns) = ((length, max(1, length // block)) for length in values.shape)
-    tall, wide = height // rows, width // columns
-    blocks = values[: rows * tall, : columns * wide].reshape(rows, tall, columns, wide)
-    medians = np.median(blocks.swapaxes(1, 2).reshape(rows, columns, -1), axis=2)
-    return np.asarray(_interpolation(height, rows) @ medians @ _interpolation(width, columns).T, np.float32)
 
 
 def _interpolation(length: int, blocks: int) -> Array:
@@ -349,8 +343,8 @@ def _fill(result: Array, mask: Array, pixels: Array, offsets: Array) -> Array:
     inside = ((places >= 0) & (places <= limits)).all(axis=2)
     rows, columns = np.moveaxis(np.clip(places, 0, limits), 2, 0)
     good = inside & ~mask[rows, columns]
-    found = good.any(axis=1)
+    fillable = good.any(axis=1)
     samples = np.where(good, result[rows, columns].astype(np.float32), np.float32(np.nan))
-    medians = np.nanmedian(samples[found], axis=1)
-    result[tuple(pixels[found].T)] = np.rint(medians) if result.dtype.kind == "u" else medians
-    return np.asarray(pixels[~found])
+    medians = np.nanmedian(samples[fillable], axis=1)
+    result[tuple(pixels[fillable].T)] = np.rint(medians) if result.dtype.kind == "u" else medians
+    return np.asarray(pixels[~fillable])

@@ -18,12 +18,11 @@ import numpy as np
 from camcal.arrays import Array, PixelArray
 from camcal.errors import InvalidInput
 from camcal.raw.dng import dng_bytes
-from camcal.raw.linear_filters import bilinear, edge_aware, green, half, malvar
+from camcal.raw.filters import bilinear, edge_aware, green, half, malvar, vng
 from camcal.raw.mosaic import Mosaic, cell_side, full_scale, is_x_trans
 from camcal.raw.names import AUTO, GRAY, GREEN, HALF, LIBRAW, MONO, NONE, RI
-from camcal.raw.planes import Each, one_by_one, rounded
 from camcal.raw.residual import residual_interpolation
-from camcal.raw.vng import vng
+from camcal.raw.tiles import Each, one_by_one, rounded
 
 X_TRANS_NAME = "AHD"  # under this name LibRaw runs Markesteijn's filter on X-Trans
 
@@ -79,7 +78,9 @@ def demosaic(
         each,
     )
     if algorithm.startswith(LIBRAW):
-        return _by_libraw(job, algorithm.removeprefix(LIBRAW))
+        counts, scale = _sixteen_bits(job)  # LibRaw works on 16 bits; others are scaled there and back
+        colour = demosaic_with_libraw(counts, pattern, algorithm.removeprefix(LIBRAW)) / scale
+        return np.asarray((colour if values.dtype == np.float32 else np.rint(colour)).astype(values.dtype))
     if is_x_trans(pattern) and algorithm != NONE:
         raise InvalidInput(
             f"{algorithm} is for Bayer sensors, this is X-Trans; use auto, {LIBRAW}{X_TRANS_NAME}, or none"
@@ -115,13 +116,6 @@ def resolved(algorithm: str, pattern: str) -> str:
     return f"{LIBRAW}{X_TRANS_NAME}" if is_x_trans(pattern) else RI
 
 
-def _by_libraw(job: Job, name: str) -> Array:
-    """Return the colour that LibRaw makes; it works on 16 bits, so that others are scaled there and back."""
-    counts, scale = _sixteen_bits(job)
-    colour = demosaic_with_libraw(counts, job.pattern, name) / scale
-    return np.asarray((colour if job.values.dtype == np.float32 else np.rint(colour)).astype(job.values.dtype))
-
-
 def _sixteen_bits(job: Job) -> tuple[Array, np.float32]:
     """Return the mosaic as uint16 with white at the top, and the factor that took it there."""
     scale = np.float32(full_scale(np.dtype(np.uint16)) / job.white)
@@ -145,10 +139,10 @@ def _edge_aware(job: Job) -> Array:
     if job.values.dtype == np.float32:
         counts, scale = _sixteen_bits(job)
         return np.asarray(edge_aware(counts, job.pattern) / scale)
-    return _capped(edge_aware)(job)
+    return _cap(edge_aware)(job)
 
 
-def _capped(function: Callable[[Array, str], Array]) -> Callable[[Job], Array]:
+def _cap(function: Callable[[Array, str], Array]) -> Callable[[Job], Array]:
     """Return a filter whose result ends at the white level."""
 
     def run(job: Job) -> Array:
@@ -167,13 +161,13 @@ ALGORITHMS: Mapping[str, Algorithm] = MappingProxyType(
         "malvar": Algorithm(
             "linear 5 x 5 filters: fast", lambda job: malvar(job.values, job.pattern, job.white, each=job.each)
         ),
-        "bilinear": Algorithm("the mean of the nearest samples: fastest", _capped(bilinear)),
+        "bilinear": Algorithm("the mean of the nearest samples: fastest", _cap(bilinear)),
         "ea": Algorithm("OpenCV's edge-aware filter", _edge_aware),
         "vng": Algorithm(
             "variable number of gradients", lambda job: vng(job.values, job.pattern, job.white, each=job.each)
         ),
-        HALF: Algorithm("one pixel per cell, half the size: not for calibration", _capped(half)),
-        GREEN: Algorithm("one channel: green, its gaps filled; for calibration, whatever the lens", _capped(green)),
+        HALF: Algorithm("one pixel per cell, half the size: not for calibration", _cap(half)),
+        GREEN: Algorithm("one channel: green, its gaps filled; for calibration, whatever the lens", _cap(green)),
         GRAY: Algorithm(
             "one channel: the balanced mosaic; for calibration, if the lens has no lateral colour",
             lambda job: job.values,
@@ -192,10 +186,11 @@ def libraw_filters() -> list[str]:
 
 def require_libraw_filter(name: str) -> str:
     """Return the name of a filter in capitals; raises InvalidInput unless the installed LibRaw has it."""
-    known = libraw_filters()
-    if name.upper() not in known:
+    supported = libraw_filters()
+    if name.upper() not in supported:
         raise InvalidInput(
-            f"LibRaw as installed does not support {name!r} and would use AHD instead; use one of " + ", ".join(known)
+            f"LibRaw as installed does not support {name!r} and would use AHD instead; use one of "
+            + ", ".join(supported)
         )
     return name.upper()
 
@@ -216,23 +211,14 @@ def demosaic_with_libraw(values: Array, pattern: str, name: str) -> Array:
         raise InvalidInput(f"LibRaw has one filter for X-Trans: use {X_TRANS_NAME}, it runs Markesteijn's there")
     height, width = values.shape
     side = cell_side(pattern)
-    frame = Mosaic(_enlarged(values, side), pattern, np.zeros((side, side)), _SATURATION)
+    if min(values.shape) < _SMALLEST[side]:  # the last cell is repeated beyond the right and lower edge
+        places = [np.arange(max(length, _SMALLEST[side])) for length in values.shape]
+        ends = zip(places, values.shape, strict=True)
+        values = values[np.ix_(*(np.where(at < end, at, end - side + (at - end) % side) for at, end in ends))]
+    frame = Mosaic(values, pattern, np.zeros((side, side)), _SATURATION)
     with rawpy.imread(BytesIO(dng_bytes(frame))) as raw:
         colour = raw.postprocess(_neutral(rawpy.DemosaicAlgorithm[name]))
     return np.ascontiguousarray(colour[:height, :width, ::-1])
-
-
-def _enlarged(values: Array, side: int) -> Array:
-    """Return the mosaic, its last cell repeated beyond the right and lower edge as far as LibRaw's smallest image."""
-    smallest = _SMALLEST[side]
-    if min(values.shape) >= smallest:
-        return values
-    return values[np.ix_(*(_repeating(length, smallest, side) for length in values.shape))]
-
-
-def _repeating(length: int, smallest: int, side: int) -> Array:
-    places = np.arange(max(length, smallest))
-    return np.where(places < length, places, length - side + (places - length) % side)
 
 
 def _neutral(algorithm: Any) -> Any:

@@ -1,27 +1,41 @@
 """Developing a raw frame: levels, bad pixels, flat field, balance, exposure, demosaicing, colour, tone, depth.
 
 In that order, and every step is neutral unless asked for. Light is linear, 0 at black and 1 at saturation, until the
-tone curve; white balance acts on the mosaic, because filters compare neighbours of different colours.
-
-A 3 × 3 matrix in linear light leads from the colours of the sensor to those of a standard.
+tone curve; white balance acts on the mosaic, because filters compare neighbours of different colours, and the gains
+that make gray things gray are found there. A 3 × 3 matrix leads from the colours of the sensor to those of a standard.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
 from camcal.arrays import Array, BoolArray, Float32Array, PixelArray
-from camcal.errors import FileError, InvalidInput
+from camcal.errors import FileError, InsufficientData, InvalidInput
 from camcal.files import read_bytes
 from camcal.parsing import parse_numbers
 from camcal.raw import calibration_frames
-from camcal.raw.colour import DTYPES, balance_in_place, encode, find_gains, quantise
 from camcal.raw.demosaic import demosaic
-from camcal.raw.mosaic import Mosaic, full_scale, phases
+from camcal.raw.mosaic import Mosaic, by_place, cell_side, full_scale, phases, sites
 from camcal.raw.names import AUTO, GRAY, MONO, NONE
-from camcal.raw.options import GRAY_WORLD, LINEAR, NO_BALANCE, NO_MATRIX, SRGB, Balance, Development, Gains
-from camcal.raw.planes import Each, one_by_one
+from camcal.raw.options import (
+    CAMERA,
+    DEPTHS,
+    GRAY_WORLD,
+    LINEAR,
+    NO_BALANCE,
+    NO_MATRIX,
+    PATCH,
+    SRGB,
+    Balance,
+    Development,
+    Gains,
+    gamma_of,
+)
+from camcal.raw.tiles import Each, one_by_one, rounded
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,9 +56,9 @@ class Corrections:
     def require_size(self, frame: Mosaic) -> None:
         """Raise InvalidInput unless all of them have the frame's size."""
         for name in ("dark", "bad", "flat"):
-            known = getattr(self, name)
-            if known is not None and known.shape != frame.values.shape:
-                sizes = "{}x{}, the frame {}x{}".format(*known.shape[::-1], *frame.size)
+            array = getattr(self, name)
+            if array is not None and array.shape != frame.values.shape:
+                sizes = "{}x{}, the frame {}x{}".format(*array.shape[::-1], *frame.size)
                 raise InvalidInput(f"the {_WORDS[name]} is {sizes}: sizes must be equal")
 
 
@@ -79,43 +93,28 @@ def develop(
     if there is no light to balance white by.
     """
     corrections.require_size(frame)
-    if _keeps_counts(frame, development, corrections):
-        pixels, linear = _from_counts(frame, development, corrections, each)
-        gains = None
-    else:
-        pixels, gains = _from_light(frame, development, corrections, each)
-        linear = development.encoding != "gamma"
-    depth = DTYPES[development.depth] if development.depth else frame.values.dtype
-    return Picture(_finish(pixels, development.tone, depth), gains, linear, clipped_shares(frame))
-
-
-def _keeps_counts(frame: Mosaic, development: Development, corrections: Corrections) -> bool:
-    """Return whether the counts are what is to be demosaiced: already on the full scale of their type, and balanced."""
+    matrix = colour_matrix(frame, development.colour)
+    gains: Gains | None = None
     on_full_scale = not frame.black.any() and frame.white == full_scale(frame.values.dtype)
     untouched = development.is_neutral and not corrections.change_light
-    return on_full_scale and untouched and development.algorithm != GRAY
-
-
-def _from_counts(frame: Mosaic, development: Development, corrections: Corrections, each: Each) -> tuple[Array, bool]:
-    """Return the demosaiced counts, in their own type, and whether they were taken for linear light."""
-    linear = frame.values.dtype != np.uint8 if development.encoding is None else development.encoding == LINEAR
-    values = _repaired(frame.values, frame, corrections)
-    return demosaic(values, frame.pattern, development.algorithm, linear=linear, each=each), linear
-
-
-def _from_light(
-    frame: Mosaic, development: Development, corrections: Corrections, each: Each
-) -> tuple[Array, Gains | None]:
-    """Return the demosaiced light, float32, behind the colour matrix, and the gains of the balance."""
-    matrix = colour_matrix(frame, development.colour)
-    light, gains = balanced_light(frame, development, corrections)
-    linear = development.encoding != "gamma"
-    pixels = demosaic(light, frame.pattern, development.algorithm, linear=linear, each=each)
-    if matrix is None:
-        return pixels, gains
-    if pixels.ndim != 3:
-        raise InvalidInput(f"a colour matrix needs colour, and {development.algorithm} gives one channel")
-    return apply_matrix(pixels, matrix), gains
+    if on_full_scale and untouched and development.algorithm != GRAY:  # demosaiced as counts, in their own type
+        linear = frame.values.dtype != np.uint8 if development.encoding is None else development.encoding == LINEAR
+        values = _repair(frame.values, frame, corrections)
+    else:
+        linear = development.encoding != "gamma"
+        values, gains = balanced_light(frame, development, corrections)
+    pixels = demosaic(values, frame.pattern, development.algorithm, linear=linear, each=each)
+    if matrix is not None:
+        if pixels.ndim != 3:
+            raise InvalidInput(f"a colour matrix needs colour, and {development.algorithm} gives one channel")
+        swapped = np.asarray(matrix[::-1, ::-1], np.float32)  # colours of pixels are blue, green, red
+        pixels = np.asarray(pixels.reshape(-1, 3) @ swapped.T).reshape(pixels.shape)
+    depth = DTYPES[development.depth] if development.depth else frame.values.dtype
+    if development.tone != LINEAR or pixels.dtype != depth:
+        if pixels.dtype != np.float32:
+            pixels = pixels.astype(np.float32) / np.float32(full_scale(pixels.dtype))
+        pixels = quantise(encode(pixels, development.tone), depth)
+    return Picture(pixels, gains, linear, clipped_shares(frame))
 
 
 def negative(frame: Mosaic, development: Development, corrections: Corrections = NO_CORRECTIONS) -> Mosaic:
@@ -129,12 +128,12 @@ def negative(frame: Mosaic, development: Development, corrections: Corrections =
     corrections.require_size(frame)
     untouched = development.is_neutral and not corrections.change_light
     if untouched and frame.values.dtype != np.float32:
-        return replace(frame, values=_repaired(frame.values, frame, corrections))
+        return replace(frame, values=_repair(frame.values, frame, corrections))
     light, gains = balanced_light(frame, development, corrections)
     counts = quantise(light, np.dtype(np.uint16))
-    known = frame.camera_gains if gains is None else None
+    balance = frame.camera_gains if gains is None else None
     return replace(
-        frame, values=counts, black=np.zeros_like(frame.black), white=full_scale(counts.dtype), camera_gains=known
+        frame, values=counts, black=np.zeros_like(frame.black), white=full_scale(counts.dtype), camera_gains=balance
     )
 
 
@@ -143,7 +142,7 @@ def balanced_light(frame: Mosaic, development: Development, corrections: Correct
 
     The balanced mosaic as a gray image needs a balance; without one asked for it is that of a gray world.
     """
-    light = _repaired(linearise(frame, corrections.dark), frame, corrections)
+    light = _repair(linearise(frame, corrections.dark), frame, corrections)
     if corrections.flat is not None:
         light /= corrections.flat
     balance = development.balance
@@ -178,19 +177,8 @@ def clipped_shares(frame: Mosaic) -> tuple[float, ...]:
     )
 
 
-def _repaired(values: Array, frame: Mosaic, corrections: Corrections) -> Array:
+def _repair(values: Array, frame: Mosaic, corrections: Corrections) -> Array:
     return values if corrections.bad is None else calibration_frames.repair(values, corrections.bad, frame.pattern)
-
-
-def _finish(pixels: Array, tone: str, depth: np.dtype[np.generic]) -> Array:
-    """Return the demosaiced pixels behind tone curve and depth."""
-    if tone == LINEAR and pixels.dtype == depth:
-        return pixels
-    return quantise(encode(_light(pixels), tone), depth)
-
-
-def _light(pixels: Array) -> Array:
-    return pixels if pixels.dtype == np.float32 else pixels.astype(np.float32) / np.float32(full_scale(pixels.dtype))
 
 
 # IEC 61966-2-1, table 1: linear sRGB to CIE XYZ, white D65.
@@ -231,7 +219,91 @@ def read_matrix(path: Path) -> Array:
     return numbers.reshape(3, 3)
 
 
-def apply_matrix(colour: Array, matrix: Array) -> Array:
-    """Return colour (H, W, 3) blue, green, red, float32, behind a matrix (3, 3) of red, green, blue."""
-    swapped = np.asarray(matrix[::-1, ::-1], np.float32)
-    return np.asarray(colour.reshape(-1, 3) @ swapped.T).reshape(colour.shape)
+DTYPES: Mapping[str, np.dtype[Any]] = MappingProxyType(
+    dict(zip(DEPTHS, map(np.dtype, (np.uint8, np.uint16, np.float32)), strict=True))
+)
+
+_CEILING = 0.9  # of saturation: a clipped sample says nothing about the colour of the light
+_ENOUGH = 1 << 20  # samples that a mean is taken from
+
+
+def find_gains(balance: Balance, light: Array, pattern: str, camera_gains: Array | None) -> Gains | None:
+    """Return the gains of red, green and blue for linear light (H, W), 1 at saturation; None for no balance.
+
+    Raises InvalidInput if the camera's are asked for and unknown, or the patch is not within the frame;
+    InsufficientData if there is no unclipped light to go by.
+    """
+    if balance.text == NO_BALANCE:
+        return None
+    if balance.text == CAMERA:
+        if camera_gains is None:
+            raise InvalidInput("has no camera white balance; use gray-world, a patch, or R,G,B")
+        return _normalise(balance, camera_gains)
+    if balance.text == GRAY_WORLD:
+        return _normalise(balance, 1 / mean_light(light, pattern))
+    if balance.text.startswith(PATCH):
+        return _normalise(balance, 1 / mean_light(*_inside_patch(balance, light, pattern)))
+    return balance.gains()
+
+
+def _inside_patch(balance: Balance, light: Array, pattern: str) -> tuple[Array, str]:
+    """Return the whole cells of the patch and the pattern they begin with, which is that of the frame."""
+    x, y, width, height = balance.patch()
+    side = cell_side(pattern)
+    left, top = -(-x // side) * side, -(-y // side) * side
+    inside = light[top : y + height, left : x + width]
+    if x + width > light.shape[1] or y + height > light.shape[0] or min(inside.shape) < side:
+        size = f"{light.shape[1]}x{light.shape[0]}"
+        raise InvalidInput(f"the patch {x},{y},{width},{height} is not inside the {size} frame, or holds no cell")
+    return inside, pattern
+
+
+def _normalise(balance: Balance, gains: Array) -> Gains:
+    red, green, blue = (float(gain) for gain in gains / (gains[1] if balance.normalise == "green" else gains.min()))
+    return red, green, blue
+
+
+def mean_light(light: Array, pattern: str) -> Array:
+    """Return the mean light (3,) of red, green and blue over the cells of (H, W) without a clipped sample.
+
+    Raises InsufficientData if no light is left.
+    """
+    stride = max(1, round(light.size / _ENOUGH))
+    samples = [plane[::stride] for plane in by_place(light, pattern)]
+    usable = np.max(samples, axis=0) < _CEILING
+    means = [0.0]
+    if usable.any():
+        of_places = [values.mean(where=usable, dtype=np.float64) for values in samples]
+        means = [np.mean([m for m, letter in zip(of_places, pattern, strict=True) if letter == c]) for c in "RGB"]
+    if not min(means) > 0:
+        raise InsufficientData("no unclipped pixels for the white balance; give three gains R,G,B")
+    return np.array(means)
+
+
+def balance_in_place(light: Array, pattern: str, gains: Gains) -> None:
+    """Multiply every sample of a mosaic (H, W) by the gain of its colour."""
+    for colour, gain in zip("RGB", gains, strict=True):
+        for site in sites(pattern, colour):
+            light[site] *= np.float32(gain)
+
+
+def encode(light: Array, tone: str) -> Array:
+    """Return the light, clipped to 0 … 1, behind a tone curve; linear light stays as it is.
+
+    Source: IEC 61966-2-1 (srgb), Rec. ITU-R BT.709-6 item 1.2 (bt709); power:γ is v^(1/γ).
+    """
+    if tone == LINEAR:
+        return light
+    light = np.clip(light, 0, 1)
+    if tone == SRGB:
+        return np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** np.float32(1 / 2.4) - 0.055)
+    if tone == "bt709":
+        return np.where(light < 0.018, 4.5 * light, 1.099 * light ** np.float32(0.45) - 0.099)
+    return np.asarray(light ** np.float32(1 / gamma_of(tone)))
+
+
+def quantise(values: Array, depth: np.dtype[Any]) -> Array:
+    """Return values in another type: floating point as they are, 0 … 1 rounded on the full scale of integers."""
+    if np.issubdtype(depth, np.floating):
+        return values
+    return rounded(values, full_scale(depth), depth)

@@ -1,20 +1,24 @@
-"""EMVA 1288 figures of one Bayer phase, from its photon transfer curve and its dark levels.
+"""Sensor characterisation (EMVA 1288) from levels of light and of darkness: figures of every Bayer phase, and of all.
 
-The curve says how noise grows with light, and where it ends. Photons arrive by chance, so their variance is their
-number: of counts above black x the variance is K x + σ², where K is the gain in counts per electron.
-Source: EMVA Standard 1288, Release 4.0 Linear (2021; noise model, photon transfer method).
+The photon transfer curve says how noise grows with light, and where it ends. Photons arrive by chance, so that their
+variance is their number: of counts above black x the variance is K x + σ², where K is the gain in counts per electron.
+Source: EMVA Standard 1288, Release 4.0 Linear (2021; noise model, photon transfer method). Its saturation is the signal
+of the largest variance, which lies three deviations below the full well and depends on the levels taken; here it is the
+signal at which pixels are full.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
+from itertools import combinations
 from math import hypot, log, log10, sqrt
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from camcal.arrays import Array, readonly
-from camcal.errors import InsufficientData
-from camcal.raw.level import ROUNDING, DarkSignal, Level, before_counting, root, squared
+from camcal.errors import InsufficientData, InvalidInput
+from camcal.messages import Message
+from camcal.raw.level import ROUNDING, SIGNIFICANT, DarkSignal, Level, before_counting, drifts, root, squared
 
 _FITTED = 0.7  # of the signal of the largest variance: as EMVA 1288 has it
 _CLIPPED = 1e-3  # share of samples at 0 or at white that makes a level useless for its variance
@@ -197,11 +201,11 @@ def together(parts: Iterable[Figures]) -> Figures:
     parts = list(parts)
     means: dict[str, Any] = {}
     for field in fields(Figures):
-        known = [figure for part in parts if (figure := getattr(part, field.name)) is not None]
-        if field.name in _PATTERNS and known:
-            means[field.name] = Figure(*root(*_mean([Figure(*squared(*figure)) for figure in known])))
+        figures = [figure for part in parts if (figure := getattr(part, field.name)) is not None]
+        if field.name in _PATTERNS and figures:
+            means[field.name] = Figure(*root(*_mean([Figure(*squared(*figure)) for figure in figures])))
         else:
-            means[field.name] = _mean(known) if known else None
+            means[field.name] = _mean(figures) if figures else None
     return Figures(**means)
 
 
@@ -265,14 +269,129 @@ def line_deviation(curve: Curve, limit: float) -> Array:
 
 def _dark_current(darks: Sequence[Level], phase: int, gain: Figure) -> Figure | None:
     """Return electrons per second from the growth of the dark signal with exposure; None with a single exposure."""
-    known = [level for level in darks if level.exposure_s is not None]
-    if len({level.exposure_s for level in known}) < 2:
+    exposed = [level for level in darks if level.exposure_s is not None]
+    if len({level.exposure_s for level in exposed}) < 2:
         return None
-    exposure = np.array([level.exposure_s for level in known])
-    means = [before_counting(level.counted(phase)).mean for level in known]
-    std = np.array([sqrt(level.temporal[phase] / (level.samples * level.frames)) for level in known])
+    exposure = np.array([level.exposure_s for level in exposed])
+    means = [before_counting(level.counted(phase)).mean for level in exposed]
+    std = np.array([sqrt(level.temporal[phase] / (level.samples * level.frames)) for level in exposed])
     std = np.maximum(std, 1e-6)  # where rounding leaves no noise at all
     from_mean = exposure - np.average(exposure, weights=std**-2)
     slopes = from_mean / std**2
     slope = float(slopes @ means / (slopes @ exposure))
     return _over(Figure(slope, float(1 / sqrt(slopes @ exposure))), gain)
+
+
+DECIBELS_A_STOP = 20 * log10(2)
+FULL_WELL, WHITE_LEVEL, NOT_REACHED = "full well", "white level", "not reached"
+
+_DRIFT = (0.01, 0.2)  # of the signal between frames of one level: what is warned of, what is refused
+_SAME_GAIN = 0.02  # by which the gains of two phases may differ
+_CUT_OFF = 1e-3  # share of dark samples at 0
+
+
+@dataclass(frozen=True, eq=False)
+class Characterisation:
+    """The figures of a sensor, over all phases and of each, and the photon transfer curves they come from.
+
+    saturation: what ends the counts, "full well" or "white level", or "not reached" by the light: then the full well
+    is the white level's. white: counts at saturation; peak: the largest count seen. limited: the read noise is hidden
+    by rounding to whole counts.
+    """
+
+    size: tuple[int, int]
+    white: float
+    peak: float
+    figures: Figures
+    phases: Mapping[str, Figures]
+    curves: Mapping[str, Curve]
+    saturation: str
+    limited: bool
+    warnings: tuple[Message, ...]
+
+    @property
+    def dynamic_range_stops(self) -> float:
+        return self.figures.dynamic_range_db.value / DECIBELS_A_STOP
+
+
+def characterise(flats: Sequence[Level], darks: Sequence[Level]) -> Characterisation:
+    """Return what a sensor can do from levels of light and at least one level of darkness.
+
+    Raises InsufficientData if the levels tell no gain, if there are none, or if the light
+    of frames of one level differed widely; InvalidInput if they differ in size.
+    """
+    _require_comparable(flats, darks)
+    changes = list(drifts(flats, darks))
+    for level, share in changes:
+        if share > _DRIFT[1]:
+            text = f"frames of one level ({level.words}) differ by {100 * share:.0f} % in brightness"
+            raise InsufficientData(f"{text}: check for mixed exposures or flicker")
+    darks = sorted(darks, key=lambda level: level.exposure_s or 0.0)
+    names, white = flats[0].names, min(level.white for level in flats)
+    curves = {name: transfer_curve(flats, darks[0], phase) for phase, name in enumerate(names)}
+    ends = [curve.saturation + curve.noise.mean for curve in curves.values() if curve.saturation is not None]
+    reached = {name for name, curve in curves.items() if curve.saturation is not None}
+    phases = {name: figures_of(curve, phase, flats, darks, white) for phase, (name, curve) in enumerate(curves.items())}
+    return Characterisation(
+        size=flats[0].size,
+        white=white,
+        peak=max(level.peak for level in flats),
+        figures=together(phases[name] for name in names if name in reached or not reached),
+        phases=phases,
+        curves=curves,
+        saturation=NOT_REACHED if not ends else WHITE_LEVEL if max(ends) > white - 1 else FULL_WELL,
+        limited=any(curve.noise.limited for curve in curves.values()),
+        warnings=tuple(_warnings(changes, flats, darks, curves, phases, white)),
+    )
+
+
+def _require_comparable(flats: Sequence[Level], darks: Sequence[Level]) -> None:
+    for levels, kind in ((flats, "flat"), (darks, "dark")):
+        if not levels:
+            raise InsufficientData(f"no {kind} frames; photon transfer needs two flat and two dark frames at least")
+    first = flats[0]
+    for level in (*flats, *darks):
+        if (level.size, level.names) != (first.size, first.names):
+            sizes = " and ".join(f"{size[0]} × {size[1]}" for size in (first.size, level.size))
+            raise InvalidInput(f"frames of {sizes}, or of two patterns: flat and dark frames must be alike")
+    brightest, dark = max(level.mean_dn.mean() for level in flats), min(level.mean_dn.mean() for level in darks)
+    if brightest < dark:
+        raise InsufficientData(
+            f"the flat frames are darker than the dark ones (mean {brightest:.4g} and {dark:.4g}): check --dark"
+        )
+    white, darkest = flats[0].white, min(level.mean_dn.min() for level in (*flats, *darks))
+    if darkest >= white:
+        raise InsufficientData(f"all counts are above the white level of {white:g}, {darkest:.4g} in the mean at least")
+
+
+def _warnings(
+    changes: Sequence[tuple[Level, float]],
+    flats: Sequence[Level],
+    darks: Sequence[Level],
+    curves: Mapping[str, Curve],
+    phases: Mapping[str, Figures],
+    white: float,
+) -> Iterator[Message]:
+    """Yield the warnings about the frames and the figures; changes: of brightness, see `drifts`."""
+    for level, share in changes:
+        if share > _DRIFT[0]:
+            text = f"illumination changed by {100 * share:.2g} % between frames of one level ({level.words})"
+            yield Message("unstable_illumination", text, {"change": share})
+    if all(curve.saturation is None for curve in curves.values()):
+        peak = max(level.peak for level in flats)
+        text = (
+            f"saturation not reached (largest count {peak:g}): full well assumed at the white level, {white:g} counts; "
+            "add longer exposures or set --white"
+        )
+        yield Message("saturation_not_reached", text, {"peak_dn": peak, "white_dn": white})
+    if max(level.clipped.max() for level in darks) > _CUT_OFF:
+        yield Message("dark_clipped", "dark counts clipped at 0, dark noise underestimated: use a higher black level")
+    if any(curve.noise.limited for curve in curves.values()):
+        yield Message("quantisation_limited", "read noise below the quantisation noise: use a higher gain")
+    gains = {name: figures.gain_dn_per_e for name, figures in phases.items()}
+    for (name, one), (other_name, other) in combinations(gains.items(), 2):
+        apart = abs(one.value - other.value)
+        if apart > SIGNIFICANT * hypot(one.std, other.std) and apart > _SAME_GAIN * one.value:
+            text = f"gains of {name} and {other_name} differ ({one.value:.4g} and {other.value:.4g} DN/e)"
+            yield Message("gains_differ", text, {name: one.value, other_name: other.value})
+            return

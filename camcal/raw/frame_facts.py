@@ -193,13 +193,13 @@ def check_phase(mosaic: Mosaic) -> GreenDiagonal | None:
     """
     if mosaic.pattern not in PATTERNS:
         return None
-    found = green_diagonal(mosaic.values, mosaic.black)
-    if found.main not in (None, _green_on_main(mosaic.pattern)):
-        likely = " or ".join(pattern for pattern in PATTERNS if _green_on_main(pattern) == found.main)
+    diagonal = green_diagonal(mosaic.values, mosaic.black)
+    if diagonal.main not in (None, _green_on_main(mosaic.pattern)):
+        likely = " or ".join(pattern for pattern in PATTERNS if _green_on_main(pattern) == diagonal.main)
         raise InvalidInput(
             f"green is on the other diagonal: pattern {likely}, not {mosaic.pattern}; --preview-patterns shows them"
         )
-    return found
+    return diagonal
 
 
 def _green_on_main(pattern: str) -> bool:

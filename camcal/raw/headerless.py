@@ -92,8 +92,12 @@ def read_headerless(path: Path, layout: Layout) -> tuple[Array, str]:
     several and the layout names none, or samples are larger than the format allows.
     """
     length = length_of(path)
-    frame = _chosen_frame(path, length, layout)
-    content = _read_span(path, layout.offset + frame * layout.frame_step, layout.frame_bytes)
+    frame = _choose_frame(path, length, layout)
+    start = layout.offset + frame * layout.frame_step
+    try:  # nothing else of what may be a long recording
+        content = np.fromfile(path, np.uint8, layout.frame_bytes, offset=start)
+    except OSError as error:
+        raise FileError(f"cannot be read: {error.strerror}", where=str(path)) from error
     order = {"endian": layout.endian, "align": layout.align}
     values = unpack(content, layout.pixel_format, layout.size, stride=layout.stride, **order)
     _require_below_white(path, values, layout)
@@ -104,16 +108,18 @@ def read_headerless(path: Path, layout: Layout) -> tuple[Array, str]:
     return values, layout.colours
 
 
-def _chosen_frame(path: Path, length: int, layout: Layout) -> int:
+def _choose_frame(path: Path, length: int, layout: Layout) -> int:
     """Return the frame to read of a file of `length` bytes, which must hold a whole number of them."""
-    found, needed = length - layout.offset, layout.frame_bytes
+    length_of_frames, needed = length - layout.offset, layout.frame_bytes
     padding = layout.frame_step - needed  # of the last row, which many writers leave out
-    count, rest = divmod(found + padding, layout.frame_step)
+    count, rest = divmod(length_of_frames + padding, layout.frame_step)
     if count < 1:
-        raise FileError(f"{layout} needs {needed} bytes, found {_found(length, layout)}", where=str(path))
+        raise FileError(f"{layout} needs {needed} bytes, found {_count_bytes(length, layout)}", where=str(path))
     if rest not in (0, padding):
         whole = f"{count} frame{'s' * (count > 1)} of {needed} bytes"
-        raise FileError(f"{layout} leaves surplus bytes after {whole}: found {_found(length, layout)}", where=str(path))
+        raise FileError(
+            f"{layout} leaves surplus bytes after {whole}: found {_count_bytes(length, layout)}", where=str(path)
+        )
     if layout.frame is None and count > 1:
         message = f"holds {count} frames if it is {layout}; give --frame 0 … {count - 1}, or the format and size it has"
         raise InvalidInput(f"{message}: {_offer(length - layout.offset)}", where=str(path))
@@ -122,7 +128,7 @@ def _chosen_frame(path: Path, length: int, layout: Layout) -> int:
     return layout.frame or 0
 
 
-def _found(length: int, layout: Layout) -> str:
+def _count_bytes(length: int, layout: Layout) -> str:
     after = f" after an offset of {layout.offset}" if layout.offset else ""
     return f"{max(length - layout.offset, 0)}{after}; {_offer(length - layout.offset)}"
 
@@ -156,21 +162,21 @@ def _require_upper_bits(path: Path, words: Array, layout: Layout) -> None:
 
 def _require_likely_bits(path: Path, content: Array, values: Array, layout: Layout) -> None:
     """Raise InvalidInput if pixels of one colour are unlike each other, and alike with another order of the bits."""
-    own, bits = layout.pixel_format, layout.pixel_format.bits
+    stated, bits = layout.pixel_format, layout.pixel_format.bits
     if _likeness(values) >= _UNLIKE:
         return
     other = {"little": "big", "big": "little"}[layout.endian]
     readings = [
         (each, layout.endian, f"--format {each.name}" + ("" if layout.stride is None else f" --stride {layout.stride}"))
         for each in FORMATS
-        if each.bits == bits and (each.pattern, each.packing is None) == (own.pattern, own.packing is None)
-        if each is not own and frame_bytes(each, layout.size, layout.stride) == layout.frame_bytes
+        if each.bits == bits and (each.pattern, each.packing is None) == (stated.pattern, stated.packing is None)
+        if each is not stated and frame_bytes(each, layout.size, layout.stride) == layout.frame_bytes
     ]
-    if own.packing is None and bits > _BYTE:
-        readings.append((own, other, f"--endian {other}"))
+    if stated.packing is None and bits > _BYTE:
+        readings.append((stated, other, f"--endian {other}"))
     for each, endian, words in readings:
-        found = unpack(content, each, layout.size, stride=layout.stride, endian=endian, align=layout.align)
-        if _likeness(found) > _ALIKE:
+        samples = unpack(content, each, layout.size, stride=layout.stride, endian=endian, align=layout.align)
+        if _likeness(samples) > _ALIKE:
             text = f"as {layout}, neighbouring pixels of one colour are unlike each other; {words} fits"
             raise InvalidInput(text, where=str(path))
 
@@ -184,12 +190,14 @@ def _likeness(values: Array) -> float:
     if len(values) < _LEAST or values.shape[1] < _LEAST:
         return 1.0
     above, below = (values[rows + step].astype(float) for step in (0, 2))
-    found = []
+    likenesses = []
     for start in range(_GROUP):
         one, other = above[:, start::_GROUP], below[:, start::_GROUP]
         variance = float(one.var() + other.var())
-        found.append(1 - float(np.mean((one - one.mean() - other + other.mean()) ** 2)) / variance if variance else 1.0)
-    return min(found)
+        likenesses.append(
+            1 - float(np.mean((one - one.mean() - other + other.mean()) ** 2)) / variance if variance else 1.0
+        )
+    return min(likenesses)
 
 
 def length_of(path: Path) -> int:
@@ -203,14 +211,6 @@ def length_of(path: Path) -> int:
     if not length:
         raise FileError("is empty", where=str(path))
     return length
-
-
-def _read_span(path: Path, start: int, count: int) -> Array:
-    """Return `count` bytes from `start` on, and nothing else of what may be a long recording."""
-    try:
-        return np.fromfile(path, np.uint8, count, offset=start)
-    except OSError as error:
-        raise FileError(f"cannot be read: {error.strerror}", where=str(path)) from error
 
 
 class CandidateLayout(NamedTuple):

@@ -4,7 +4,7 @@ Frames are read one after the other; only their sum is kept. Rounding to whole c
 the noise of dark frames, which is undone.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from math import hypot, sqrt
 
@@ -21,6 +21,7 @@ from camcal.raw.names import MONO, PATTERNS
 ROUNDING = 1 / 12  # counts²: variance of an error that is uniform over one count
 LIMIT = 0.24  # counts²: below this EMVA 1288 takes the noise for that of rounding
 HIDDEN = sqrt(LIMIT - ROUNDING)  # counts: the noise that is then its upper limit, 0.40 in the standard
+SIGNIFICANT = 5.0  # standard deviations at which a difference is no chance
 
 _COARSE = 3.0  # counts: noise above that is rounded evenly, as long as it stays away from 0
 _REACH = 6.0  # standard deviations
@@ -191,9 +192,26 @@ class Level:
         return hypot(self.measured_spatial[phase] * sqrt(2 / self.samples), noise * sqrt(2 / self.degrees))
 
     @property
+    def words(self) -> str:
+        """The level as people know it: exposure, number of frames, and mean."""
+        exposure = "" if self.exposure_s is None else f"{1e3 * self.exposure_s:g} ms, "
+        return f"{exposure}{self.frames} frames, mean {self.mean_dn.mean():.4g}"
+
+    @property
     def degrees(self) -> int:
         """Degrees of freedom of each temporal variance."""
         return (self.frames - 1) * (self.samples - 1)
+
+
+def drifts(flats: Sequence[Level], darks: Sequence[Level]) -> Iterator[tuple[Level, float]]:
+    """Yield the levels whose frames differ in brightness by more than chance, and by what share of their signal."""
+    black = np.mean([level.mean_dn for level in darks], axis=0)
+    for level in flats:
+        signal = level.mean_dn - black
+        change = np.ptp(level.frame_means, axis=0)
+        sure = change > SIGNIFICANT * np.sqrt(2 * level.temporal / level.samples)
+        if (shares := change[sure & (signal > 0)] / signal[sure & (signal > 0)]).size:
+            yield level, float(shares.max())
 
 
 def phase_names(pattern: str) -> tuple[str, ...]:

@@ -159,7 +159,7 @@ AS_IMAGES = ImageReadOptions()
 
 def _is_optical(name: str) -> bool:
     """Return whether this is the optical format of a sensor, such as 1/2.8."""
-    from camcal.optics.sensor_format import sensor_format
+    from camcal.optics.lens import sensor_format
 
     try:
         sensor_format(name)
@@ -216,8 +216,8 @@ class Balance(OptionsRecord):
         try:
             red, green, blue = parse_numbers(self.text.split(","))
         except ValueError:
-            known = f"{NO_BALANCE}, {CAMERA}, {GRAY_WORLD}, {PATCH}X,Y,W,H or three gains R,G,B"
-            raise InvalidInput(f"white balance {self.text!r} is unknown; use {known}") from None
+            choices = f"{NO_BALANCE}, {CAMERA}, {GRAY_WORLD}, {PATCH}X,Y,W,H or three gains R,G,B"
+            raise InvalidInput(f"white balance {self.text!r} is unknown; use {choices}") from None
         if not all(isfinite(gain) and gain > 0 for gain in (red, green, blue)):
             raise InvalidInput(f"white balance {self.text!r}: gains must be positive numbers")
         return red, green, blue

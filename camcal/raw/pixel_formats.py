@@ -131,14 +131,11 @@ def pixel_format_named(name: str) -> PixelFormat:
         if matches:
             choices = " or ".join(f"{each.name} ({each.pattern})" for each in matches)
             raise InvalidInput(f"pixel format {name!r} needs its capitals: it may be {choices}")
-    raise InvalidInput(f"pixel format {name!r} is unknown; {_nearest(text)}")
-
-
-def _nearest(name: str) -> str:
-    near = nearest(name, [other for each in FORMATS for other in each.names])
+    near = nearest(text, [other for each in FORMATS for other in each.names])
     hint = f"did you mean {near}? " if near else ""
     suffixes = "|".join(each.suffix for each in _FAMILIES if not each.suffix.startswith("RAW"))
-    return f"{hint}there are Mono and BayerRG|GR|GB|BG with {suffixes}, and SRGGB10_CSI2P (12, 14) for MIPI"
+    choices = f"{hint}there are Mono and BayerRG|GR|GB|BG with {suffixes}, and SRGGB10_CSI2P (12, 14) for MIPI"
+    raise InvalidInput(f"pixel format {name!r} is unknown; {choices}")
 
 
 def row_bytes(pixel_format: PixelFormat, width: int) -> int:
@@ -238,14 +235,14 @@ def pack(
         found = f"{values.min()} … {values.max()}"
         raise InvalidInput(f"{pixel_format.name} holds 0 … {pixel_format.white}, found {found}")
     if stride is None and not pixel_format.rows_start_groups:
-        return _packed_rows(values.reshape(1, -1), pixel_format, endian, align).tobytes()[:length]
-    rows = _packed_rows(values, pixel_format, endian, align)[:, : row_bytes(pixel_format, width)]
+        return _pack_rows(values.reshape(1, -1), pixel_format, endian, align).tobytes()[:length]
+    rows = _pack_rows(values, pixel_format, endian, align)[:, : row_bytes(pixel_format, width)]
     padded = np.zeros((height, stride or rows.shape[1]), np.uint8)
     padded[:, : rows.shape[1]] = rows
     return padded.tobytes()
 
 
-def _packed_rows(values: Array, pixel_format: PixelFormat, endian: str, align: str) -> Array:
+def _pack_rows(values: Array, pixel_format: PixelFormat, endian: str, align: str) -> Array:
     """Return the bytes (rows, N) of every row by itself, whole groups with zeros for missing pixels."""
     packing = pixel_format.packing
     if packing is None:

@@ -1,12 +1,19 @@
-"""Reading raw frames of every kind: camera raw files, bare mosaics in image files, header-less dumps of a sensor.
+"""Reading frames: raw ones of every kind as mosaics, and all kinds of images for detectors.
 
-Of camera raw files LibRaw gives the sensor's own counts, never its look; how a frame was taken stands where its maker
-keeps that: as TIFF, in a preview, or in boxes.
+Raw frames are camera raw files, bare mosaics in image files, and header-less dumps of a sensor. Of camera raw files
+LibRaw gives the sensor's own counts, never its look; how a frame was taken stands where its maker keeps that: as TIFF,
+in a preview, or in boxes.
 
+Detectors are given raw frames without demosaicing, as filling in colours mixes red, green and blue, which a lens does
+not put in the same place. A corner is found where green was sampled, or in all samples alike, and measured by the
+samples of one colour alone.
 Source: Exif 2.32 (JEITA CP-3451E), section 4.6; L. Chevalier, "Describing the Canon Raw v3 (CR3) file format".
 """
 
+import hashlib
 import struct
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -16,13 +23,37 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.errors import FileError, InvalidInput, Located
 from camcal.files import read_bytes
-from camcal.images import exif, limits
+from camcal.images import exif
 from camcal.images.exif import JPEG, PNG, read_jpeg
-from camcal.images.load import load, png_has_colour
+from camcal.images.files import gray_8bit, gray_levels, load, png_has_colour
+from camcal.images.image import RAW_SUFFIXES, Image
+from camcal.images.options import require_pixels
+from camcal.raw.demosaic import demosaic
+from camcal.raw.develop import balance_in_place, linearise
+from camcal.raw.frame_facts import check_phase
 from camcal.raw.headerless import read_headerless
-from camcal.raw.mosaic import Capture, Mosaic, cell_side, full_scale, is_x_trans, phases, require_pattern
-from camcal.raw.names import MONO, PATTERNS
-from camcal.raw.options import BARE_SUFFIXES, HEADERLESS_SUFFIXES, NO_LAYOUT, GivenLayout
+from camcal.raw.mosaic import (
+    Capture,
+    Mosaic,
+    by_place,
+    cell_side,
+    full_scale,
+    is_x_trans,
+    phases,
+    require_pattern,
+    sites,
+)
+from camcal.raw.names import GRAY, GREEN, MONO, PATTERNS
+from camcal.raw.options import (
+    AS_IMAGES,
+    BARE_SUFFIXES,
+    HEADERLESS_SUFFIXES,
+    NO_LAYOUT,
+    Gains,
+    GivenLayout,
+    ImageReadOptions,
+)
+from camcal.targets.detection import MaskedImage
 
 
 def read_mosaic(
@@ -96,7 +127,7 @@ def read_camera_raw(path: Path, content: bytes | None = None) -> Mosaic:
         raise FileError(f"truncated: refers to data beyond its {len(content)} bytes", where=str(path))
     try:
         with rawpy.imread(BytesIO(content)) as raw:
-            limits.require_pixels((raw.sizes.raw_width, raw.sizes.raw_height), path)
+            require_pixels((raw.sizes.raw_width, raw.sizes.raw_height), path)
             if raw.raw_type != rawpy.RawType.Flat:
                 raise InvalidInput(
                     "has full colour in every pixel (linear DNG, sRAW or Foveon), no mosaic: it is demosaiced already; "
@@ -104,7 +135,9 @@ def read_camera_raw(path: Path, content: bytes | None = None) -> Mosaic:
                 )
             return _frame(raw, content)
     except rawpy.LibRawError as error:
-        raise FileError(f"not a readable camera raw file ({_reason(error)})", where=str(path)) from error
+        text = error.args[0] if error.args else error
+        reason = text.decode(errors="replace") if isinstance(text, bytes) else str(text)
+        raise FileError(f"not a readable camera raw file ({reason})", where=str(path)) from error
 
 
 def pattern_of(codes: Array | None, letters: bytes) -> str:
@@ -123,16 +156,22 @@ def pattern_of(codes: Array | None, letters: bytes) -> str:
 
 
 def _frame(raw: Any, content: bytes) -> Mosaic:
+    """Return the frame that LibRaw has read; levels are as the metadata state them, else as the frame itself tells."""
     codes = None if raw.num_colors == 1 else _cell(raw)
     pattern = MONO if codes is None else pattern_of(codes, raw.color_desc)
-    colour = pattern != MONO
+    side = cell_side(pattern)
+    blacks = np.asarray(raw.black_level_per_channel, dtype=float)
+    black = np.full((side, side), blacks[0]) if codes is None else blacks[codes]
+    whites = [level for level in raw.camera_white_level_per_channel or () if level > blacks.max()]
+    gains = np.asarray(raw.camera_whitebalance[:3], dtype=float)
+    balanced = pattern != MONO and np.isfinite(gains).all() and (gains > 0).all()
     return Mosaic(
         values=raw.raw_image_visible,
         pattern=pattern,
-        black=_black(raw, codes, pattern),
-        white=_white(raw),
-        camera_gains=_camera_gains(raw) if colour else None,
-        camera_M_xyz=_camera_matrix(raw) if colour else None,
+        black=black if blacks.any() else _masked_black(raw, pattern),
+        white=float(min(whites, default=raw.white_level)),
+        camera_gains=gains if balanced else None,
+        camera_M_xyz=None if pattern == MONO else _camera_matrix(raw),
         orientation=_ORIENTATIONS[raw.sizes.flip & 7],
         capture=capture_of(content, raw.other),
     )
@@ -149,15 +188,6 @@ def _cell(raw: Any) -> Array | None:
     top, left = raw.sizes.top_margin, raw.sizes.left_margin
     codes = [raw.raw_color(top + row, left + column) for row, column in np.ndindex(*cell.shape)]
     return np.reshape(codes, cell.shape)
-
-
-def _black(raw: Any, codes: Array | None, pattern: str) -> Array:
-    """Return the counts without light of every place of the cell: as stated, else of the columns that see no light."""
-    side = cell_side(pattern)
-    stated = np.asarray(raw.black_level_per_channel, dtype=float)
-    if not stated.any():
-        return _masked_black(raw, pattern)
-    return np.full((side, side), stated[0]) if codes is None else stated[codes]
 
 
 def _masked_black(raw: Any, pattern: str) -> Array:
@@ -177,18 +207,6 @@ def _masked_black(raw: Any, pattern: str) -> Array:
     return np.reshape([np.median(margin[place]) for place in phases(pattern)], (side, side))
 
 
-def _white(raw: Any) -> float:
-    """Return the counts at which the first channel saturates: from the metadata, else from LibRaw."""
-    darkest = max(raw.black_level_per_channel)
-    stated = [level for level in raw.camera_white_level_per_channel or () if level > darkest]
-    return float(min(stated, default=raw.white_level))
-
-
-def _camera_gains(raw: Any) -> Array | None:
-    gains = np.asarray(raw.camera_whitebalance[:3], dtype=float)
-    return gains if np.isfinite(gains).all() and (gains > 0).all() else None
-
-
 def _camera_matrix(raw: Any) -> Array | None:
     """Return the matrix from XYZ to the camera's colours, None if unknown.
 
@@ -205,11 +223,6 @@ def _camera_matrix(raw: Any) -> Array | None:
     return np.asarray(np.linalg.inv(_XYZ_M_SRGB @ to_srgb) / scales[:, np.newaxis])
 
 
-def _reason(error: Exception) -> str:
-    text = error.args[0] if error.args else error
-    return text.decode(errors="replace") if isinstance(text, bytes) else str(text)
-
-
 _FUJI = b"FUJIFILMCCD-RAW"
 _FUJI_PREVIEW = 84  # where the offset and the length of the preview stand, a JPEG file with an EXIF block
 _CANON_BOXES = (b"CMT1", b"CMT2")  # the first directory, and the one about the capture
@@ -221,28 +234,21 @@ def capture_of(content: bytes, known: Any) -> Capture:
 
     known: LibRaw's iso_speed, shutter_speed (s), aperture (f-number) and focal_length (mm).
     """
-    said: dict[str, Any] = {
-        "exposure_s": _unless_default(known.shutter_speed),
+    facts: dict[str, Any] = {
+        # 0, or 2 to the power of 0, is what LibRaw makes of no value
+        "exposure_s": None if known.shutter_speed in (0, 1) else known.shutter_speed,
         "iso": known.iso_speed or None,
-        "f_number": _unless_default(known.aperture),
+        "f_number": None if known.aperture in (0, 1) else known.aperture,
         "focal_mm": known.focal_length or None,
     }
-    for block in _blocks(content):
-        said |= exif.capture_facts(block)
-    return Capture(**said)
-
-
-def _unless_default(value: float) -> float | None:
-    """Return the value unless it is what LibRaw makes of no value: 0, or 2 to the power of 0."""
-    return None if value in (0, 1) else value
-
-
-def _blocks(content: bytes) -> list[bytes]:
+    blocks = [content]
     if content.startswith(_FUJI):
-        return [_preview_exif(content)]
-    if content[4:8] == b"ftyp":
-        return [_box(content, name) for name in _CANON_BOXES]
-    return [content]
+        blocks = [_preview_exif(content)]
+    elif content[4:8] == b"ftyp":
+        blocks = [_box(content, name) for name in _CANON_BOXES]
+    for block in blocks:
+        facts |= exif.capture_facts(block)
+    return Capture(**facts)
 
 
 def _preview_exif(content: bytes) -> bytes:
@@ -261,3 +267,121 @@ def _box(content: bytes, name: bytes) -> bytes:
         return b""
     (length,) = struct.unpack_from(">I", content, place - 4)
     return content[place + 4 : place - 4 + length]
+
+
+COLOURS = ("red", "blue")
+
+_CHANNELS = {"blue": 0, "green": 1, "red": 2}  # of colour images
+_GRAY_LEVELS, _ROUNDING = 255.0, 1e-6
+_BRIGHTEST = 0.999  # of the samples; what is above may be a lamp
+_USED_CELLS = 1 << 17
+_CLIPPED = 0.98
+
+
+@dataclass(frozen=True, eq=False)
+class DetectionImage:
+    """What is examined: gray (H, W) uint8, in which a board is found; EXIF orientation, not applied.
+
+    measured: the samples that say where its corners are, None for gray itself. colours: those of COLOURS, if asked for.
+    sha256: of the file, if asked for and where the file was read as a whole.
+    """
+
+    gray: Array
+    orientation: int
+    measured: MaskedImage | None = None
+    colours: Mapping[str, MaskedImage] = field(default_factory=dict)
+    sha256: str | None = None
+
+    @property
+    def samples(self) -> MaskedImage:
+        """The samples from which corners are located."""
+        return self.measured or MaskedImage(self.gray)
+
+
+def read_detection_image(path: Path, reading: ImageReadOptions = AS_IMAGES, *, hashed: bool = False) -> DetectionImage:
+    """Return the detection image of an image, a camera raw file, a bare mosaic or a header-less file.
+
+    hashed: with its hash. Raises FileError if it cannot be read, InvalidInput if it is no mosaic, or has not the
+    colours asked for.
+    """
+    suffix = path.suffix.lower()
+    content = None if suffix in HEADERLESS_SUFFIXES else read_bytes(path)  # those may be far longer than a frame
+    with Located(path):
+        if is_raw(path, reading):
+            layout = reading.layout if suffix in HEADERLESS_SUFFIXES else NO_LAYOUT
+            image = detection_image_of(read_mosaic(path, reading.pattern, layout, content), reading)
+        else:
+            image = _of_image(load(path, content=content), reading)
+    return replace(image, sha256=hashlib.sha256(content).hexdigest()) if hashed and content is not None else image
+
+
+def is_raw(path: Path, reading: ImageReadOptions) -> bool:
+    """Return whether a file holds a raw frame; colours of other images have been mixed by demosaicing."""
+    return path.suffix.lower() in RAW_SUFFIXES | HEADERLESS_SUFFIXES or reading.pattern is not None
+
+
+def _of_image(image: Image, reading: ImageReadOptions) -> DetectionImage:
+    if not reading.colours:
+        deep = None if image.pixels.dtype == np.uint8 else MaskedImage(gray_levels(image.pixels))
+        return DetectionImage(gray_8bit(image.pixels), image.orientation, deep)
+    if image.channels == 1:
+        raise InvalidInput("is gray and has no channels; if it is a raw frame, give its --pattern")
+    planes = {colour: image.pixels[:, :, channel] for colour, channel in _CHANNELS.items()}
+    colours = {colour: MaskedImage(gray_levels(planes[colour])) for colour in COLOURS}
+    green = MaskedImage(gray_levels(planes[GREEN]))
+    return DetectionImage(gray_8bit(planes[GREEN]), image.orientation, green, colours)
+
+
+def detection_image_of(frame: Mosaic, reading: ImageReadOptions = AS_IMAGES) -> DetectionImage:
+    """Return the detection image of a raw frame.
+
+    Raises InvalidInput for X-Trans, a pattern that contradicts the frame, or colours that it has not.
+    """
+    if frame.pattern != MONO and frame.pattern not in PATTERNS:
+        raise InvalidInput("has an X-Trans pattern; corners are found in Bayer mosaics. 'camcal demosaic' develops it")
+    if frame.pattern == MONO:
+        if reading.colours:
+            raise InvalidInput("is of a sensor without colours and has no channels")
+        return DetectionImage(gray_8bit(linearise(frame)), frame.orientation)
+    check_phase(frame)
+    light = linearise(frame)
+    if reading.algorithm == GRAY:
+        balance_in_place(light, frame.pattern, agreeing_gains(light, frame.pattern))
+        return DetectionImage(gray_8bit(light), frame.orientation)
+    gray = gray_8bit(demosaic(light, frame.pattern, GREEN))
+    light *= np.float32(_GRAY_LEVELS / max(float(np.quantile(light[::4, ::3], _BRIGHTEST)), _ROUNDING))
+    colours = {name: _samples(light, frame.pattern, name) for name in (COLOURS if reading.colours else ())}
+    return DetectionImage(gray, frame.orientation, _samples(light, frame.pattern, GREEN), colours)
+
+
+def _samples(light: Array, pattern: str, colour: str) -> MaskedImage:
+    mask = np.zeros(light.shape, np.bool_)
+    for site in sites(pattern, colour[0].upper()):
+        mask[site] = True
+    return MaskedImage(light, mask)
+
+
+def agreeing_gains(light: Array, pattern: str) -> Gains:
+    """Return gains of red, green, blue that make most of a mosaic (H, W) of linear light agree with its green.
+
+    A board is black and white; what stands around it may have any colour and is outvoted: the gain of a colour c is the
+    weighted median of g / c over the cells, which minimises Σ |g - gain · c|.
+    """
+    planes = by_place(light, pattern)
+    stride = max(1, planes[0].size // _USED_CELLS)
+    samples = [(letter, plane[::stride].ravel()) for letter, plane in zip(pattern, planes, strict=True)]
+    cells = {colour: np.mean([plane for letter, plane in samples if letter == colour], axis=0) for colour in "RGB"}
+    every = np.stack(list(cells.values()))
+    usable = (every.max(axis=0) < _CLIPPED) & (every.min(axis=0) > 0)
+    green = cells["G"][usable]
+    red, blue = (_weighted_median(green / cells[colour][usable], cells[colour][usable]) for colour in "RB")
+    return red, 1.0, blue
+
+
+def _weighted_median(values: Array, weights: Array) -> float:
+    """Return the value with half of the weight on either side, 1 for none."""
+    if not values.size:
+        return 1.0
+    order = np.argsort(values)
+    heaped = np.cumsum(weights[order], dtype=np.float64)
+    return float(values[order][np.searchsorted(heaped, heaped[-1] / 2)])

@@ -21,27 +21,35 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.raw import ri_green
-from camcal.raw.planes import (
+from camcal.raw.tiles import (
     HERE,
+    TILE,
+    WHITE,
+    Bayer,
+    Box,
     Each,
-    Learning,
+    Missing,
     Plane,
+    Root,
+    Scale,
     Tile,
+    TiledMosaic,
     add_product,
     blended,
+    boxes,
+    detail_balance,
     difference,
     filtered,
     one_by_one,
     plus_scaled,
     weighted,
 )
-from camcal.raw.tiling import TILE, WHITE, Bayer, Box, Missing, TiledMosaic, boxes, scale_of
 
 RED_BLUE_REACH = 12  # half-size pixels of green that red and blue of a pixel depend on, rounded up to an even number
 
 _NARROW = np.array([0.2, 1.0, 0.2], np.float32) / np.float32(1.4)  # a window of about 5 × 5
-_ON_GREEN = Learning(flat=20.0, steepest=1.1)
-_ON_OPPOSITE = Learning(flat=1000.0, steepest=1.0, expected=0.0)
+_ON_GREEN = ri_green.Learning(flat=20.0, steepest=1.1)
+_ON_OPPOSITE = ri_green.Learning(flat=1000.0, steepest=1.0, expected=0.0)
 _LAPLACIAN_NOISE = 12.0  # variance of the second difference of interpolated green, in that of a green sample's noise
 _CORRECTION = -0.25  # of the second difference over two pixels, of a mean of neighbours
 _SUM = np.ones(3, np.float32)
@@ -70,11 +78,11 @@ def residual_interpolation(
 ) -> Array:
     """Return colour (H, W, 3) blue, green, red of a Bayer mosaic (H, W), in its own type, nothing above `white`.
 
-    linear: the values are proportional to light, not gamma-encoded; see `scales`. each: runs the work on tiles, one
+    linear: the values are proportional to light, not gamma-encoded; see `Root`. each: runs the work on tiles, one
     after another unless the caller has threads. tile: rows and columns of cells, even; the result does not depend on
     it.
     """
-    scale = scale_of(values, pattern, white, linear=linear)
+    scale = Root(white, gains=detail_balance(values, pattern)) if linear else Scale(white, WHITE)
     mosaic = TiledMosaic(values, pattern, ri_green.REACH + _COLOUR_REACH, scale)
     mosaic.fill(each)
     frame = _TwoPasses(mosaic)
@@ -100,11 +108,11 @@ class _TwoPasses:
         around = box.widened(ri_green.REACH)
         with self.mosaic.tile(around) as tile:
             bayer = self.mosaic.samples(tile, around)
-            found = ri_green.colour_differences(tile, bayer)
+            of_colours = ri_green.colour_differences(tile, bayer)
             inside = box._replace(row=ri_green.REACH, column=ri_green.REACH).slices
-            for differences, plane in zip(self._differences, found, strict=True):
+            for differences, plane in zip(self._differences, of_colours, strict=True):
                 differences[box.slices] = plane.image[inside]
-            tile.give_back(*bayer, *found)
+            tile.give_back(*bayer, *of_colours)
 
     def find_colours(self, box: Box) -> None:
         """Leave the colours of a box of cells."""
@@ -167,9 +175,9 @@ def _red_and_blue(tile: Tile, bayer: Bayer, green_at_red: Plane, green_at_blue: 
     )
 
 
-def _residual(tile: Tile, samples: Plane, green: Plane, learning: Learning) -> _Colour:
+def _residual(tile: Tile, samples: Plane, green: Plane, learning: ri_green.Learning) -> _Colour:
     curve, green_curve = _laplacian(tile, samples), _laplacian(tile, green)
-    gain = tile.slope(curve, green_curve, _NARROW, learning)
+    gain = ri_green.regress(tile, curve, green_curve, _NARROW, learning)
     np.multiply(green_curve[HERE], gain[HERE], out=green_curve[HERE])
     np.subtract(curve[HERE], green_curve[HERE], out=curve[HERE])
     tile.give_back(green_curve)
@@ -212,7 +220,7 @@ def _slope_on_opposite(tile: Tile, curve: Plane, opposite: Plane, towards: int) 
     weighted(opposite[HERE], 0.25, opposite[0, -towards], 0.25, beside[HERE])
     plus_scaled(beside[HERE], opposite[-towards, 0], 0.25, beside[HERE])
     plus_scaled(beside[HERE], opposite[-towards, -towards], 0.25, beside[HERE])
-    share = tile.slope(curve, beside, _NARROW, _ON_OPPOSITE, times=_CORRECTION)
+    share = ri_green.regress(tile, curve, beside, _NARROW, _ON_OPPOSITE, times=_CORRECTION)
     tile.give_back(beside)
     return share
 

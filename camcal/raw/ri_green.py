@@ -9,14 +9,15 @@ Source: Hamilton and Adams, US patent 5629734 (second differences); Kiku et al.,
 (local gains); Pekkucuksen and Altunbasak, ICIP 2010 (weights by gradients); Zhang and Wu, IEEE TIP 2005 (calming).
 """
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.raw.planes import (
+from camcal.raw.tiles import (
     HERE,
-    Learning,
+    Bayer,
     Plane,
     Tile,
     add_product,
@@ -26,21 +27,37 @@ from camcal.raw.planes import (
     plus_scaled,
     weighted,
 )
-from camcal.raw.tiling import Bayer
 
 REACH = 12  # half-size pixels around a pixel that its colour difference depends on, rounded up to an even number
 SMOOTHING_REACH = 8  # of green that of the differences
 
 WIDE = np.array([0.8, 1.0, 0.8], np.float32) / np.float32(2.6)  # a window of about 7 × 7
 
-# Gains may be negative: one colour rises where another falls, as at the edge of two saturated colours.
-_LEARNING = Learning(flat=10.0, steepest=1.0)
 _QUIET = 0.25  # a sum of gradients that counts as none
 _LARGE = 16.0  # makes roughness large against what OpenCV adds to weights, and its square small enough for float32
 _BESIDE, _BEYOND, _MIDDLE = 0.35, 0.10, 0.55  # weights of the differences on one side of a pixel, and of its own
 _GAUSSIAN = np.array([0.239, 0.522, 0.239], np.float32)
 _DETAIL_VARIANCE = 0.1  # variance of a colour difference that is taken for detail
 _ARTEFACT_SHARE = 0.4  # how much of the variance within 3 × 3 pixels is taken for an artefact
+
+
+@dataclass(frozen=True)
+class Learning:
+    """How the slope of one plane on another is learnt from a window.
+
+    flat: mean square of the other plane below which the slope tends to `expected`. steepest: largest magnitude of the
+    slope. noise: mean square of the other plane that is noise; the slope is multiplied by the share that is not
+    (Wiener's gain).
+    """
+
+    flat: float
+    steepest: float
+    expected: float = 1.0
+    noise: float = 0.0
+
+
+# Gains may be negative: one colour rises where another falls, as at the edge of two saturated colours.
+_LEARNING = Learning(flat=10.0, steepest=1.0)
 
 
 class _Line(NamedTuple):
@@ -62,12 +79,12 @@ def colour_differences(tile: Tile, bayer: Bayer) -> tuple[Plane, Plane]:
     """Return green minus red at the red samples and green minus blue at the blue ones."""
     rows = _line(tile, bayer.red, bayer.right, bayer.below, bayer.blue, (0, 1))
     columns = _line(tile, bayer.red, bayer.below, bayer.right, bayer.blue, (1, 0))
-    at_red = _fused(
+    at_red = _fuse(
         tile,
         _Sides(rows.red, rows.by_red, rows.red_side, (0, 1), first=True),
         _Sides(columns.red, columns.by_red, columns.red_side, (1, 0), first=True),
     )
-    at_blue = _fused(
+    at_blue = _fuse(
         tile,
         _Sides(rows.blue, rows.by_blue, rows.blue_side, (0, 1), first=False),
         _Sides(columns.blue, columns.by_blue, columns.blue_side, (1, 0), first=False),
@@ -118,11 +135,37 @@ def _estimate(
     """
     beside = tile.take()
     weighted(other_curve[HERE], 0.5, other_curve[away], 0.5, beside[HERE])
-    gain = tile.slope(curve, beside, WIDE, _LEARNING, times=-0.25)
+    gain = regress(tile, curve, beside, WIDE, _LEARNING, times=-0.25)
     result = beside
     weighted(colour[HERE], 0.5, colour[towards], 0.5, result[HERE])
     add_product(gain[HERE], other_curve[HERE], result[HERE])
     tile.give_back(gain)
+    return result
+
+
+def regress(tile: Tile, of: Plane, on: Plane, taps: Array, learning: Learning, times: float = 1.0) -> Plane:
+    """Return the slope of the regression of a plane on another in windows, times a factor.
+
+    What is regressed is a difference and has no mean of its own. The slope is found at half the plane's size and
+    interpolated.
+    """
+    result, power = tile.take(), tile.take()
+    np.multiply(of[HERE], on[HERE], out=result[HERE])
+    np.multiply(on[HERE], on[HERE], out=power[HERE])
+    slopes = tile.mean(result, taps, learning.expected * learning.flat)
+    powers = tile.mean(power, taps, learning.flat)
+    np.divide(slopes, powers, out=slopes)
+    np.clip(slopes, -learning.steepest, learning.steepest, out=slopes)
+    if learning.noise:
+        np.divide(np.float32(-learning.noise), powers, out=powers)
+        np.add(powers, np.float32(1), out=powers)
+        np.maximum(powers, 0, out=powers)
+        np.multiply(slopes, powers, out=slopes)
+    if times != 1:
+        slopes *= np.float32(times)
+    tile.forget(powers)
+    tile.give_back(power)
+    tile.spread(slopes, result)
     return result
 
 
@@ -185,7 +228,7 @@ class _Sides(NamedTuple):
     first: bool
 
 
-def _fused(tile: Tile, rows: _Sides, columns: _Sides) -> Plane:
+def _fuse(tile: Tile, rows: _Sides, columns: _Sides) -> Plane:
     """Return the mean of the differences on the four sides of every sample, each weighted by 1 / roughness."""
     along_rows, roughness_of_rows = _both_sides(tile, rows)
     along_columns, roughness_of_columns = _both_sides(tile, columns)

@@ -9,9 +9,8 @@ from camcal.calibrate.intrinsics import Calibration, CandidateModel, View
 from camcal.formats import boards
 from camcal.messages import counted
 from camcal.quality.projection_uncertainty import ProjectionUncertainty
-from camcal.report.table import Column
-from camcal.report.uncertain import held_by_prior_words, length_unit, value_and_std
-from camcal.targets.surface import RATIOS
+from camcal.report.table import Column, held_by_prior_words, length_unit, value_and_std
+from camcal.targets.board import RATIOS
 
 CANDIDATE_COLUMNS = (
     Column("lens model"),

@@ -22,8 +22,7 @@ from PIL import Image
 from camcal.arrays import Array
 from camcal.errors import FileError, InvalidInput
 from camcal.files import replacing
-from camcal.report.cloud_scene import CloudScene
-from camcal.report.cloud_views import View, view_of
+from camcal.report.cloud_scene import CloudScene, View, view_of
 from camcal.report.colour_scale import ColourScale, Paint, turbo_table
 
 # labels

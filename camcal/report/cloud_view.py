@@ -28,8 +28,7 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.errors import FileError, InvalidInput
 from camcal.files import replacing
-from camcal.report.cloud_scene import CloudScene, evenly
-from camcal.report.cloud_views import named_views, view_of
+from camcal.report.cloud_scene import CloudScene, evenly, named_views, view_of
 from camcal.report.colour_scale import Paint, scale_of, turbo_table
 
 _STEPS = 65535

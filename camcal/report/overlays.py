@@ -231,25 +231,24 @@ def corner_overlay(gray: Array, view: BoardDetection) -> Array:
         return _draw_refusal(canvas, view)
     order = np.argsort(view.ids, kind="stable")
     ids, pixels = view.ids[order], view.pixels[order]
-    spacing = _spacing(pixels)
+    # the median distance to the nearest neighbour
+    away = np.linalg.norm(pixels[:, None] - pixels, axis=2)
+    np.fill_diagonal(away, np.inf)
+    spacing = float(np.median(away.min(axis=1))) if len(pixels) > 1 else 1.0
     width = max(1, min(canvas.thickness, round(_LINE_SHARE * spacing * canvas.scale)))
     colours = _draw_order(canvas, pixels, spacing, width)
     lines = [view.image, f"{len(ids)} points; the line runs from id to id, blue to red; green: the first, id {ids[0]}"]
     if view.covariance is None:
-        _draw_rings(canvas, pixels, colours, width)
+        for pixel, colour in zip(pixels, colours, strict=True):
+            place = canvas.place(pixel)
+            if place is not None:
+                canvas.circle(place, _RADIUS * width, colour, width)
     else:
         lines.append(_draw_ellipses(canvas, pixels, view.covariance[order], spacing, width))
     lines += _draw_refused(canvas, view.refused)
     _draw_first(canvas, pixels[0], width)
     _write_ids(canvas, ids, pixels, spacing)
     return canvas.captioned(lines)
-
-
-def _spacing(pixels: Array) -> float:
-    """Return the median distance (px) of points to their nearest neighbour, 1 for a single point."""
-    away = np.linalg.norm(pixels[:, None] - pixels, axis=2)
-    np.fill_diagonal(away, np.inf)
-    return float(np.median(away.min(axis=1))) if len(pixels) > 1 else 1.0
 
 
 def _draw_order(canvas: Canvas, pixels: Array, spacing: float, width: int) -> list[Colour]:
@@ -260,13 +259,6 @@ def _draw_order(canvas: Canvas, pixels: Array, spacing: float, width: int) -> li
     for start, end, length, colour in zip(places, places[1:], lengths, colours, strict=False):
         canvas.line(start, end, colour, width if length < _JUMP * spacing else 1)
     return colours
-
-
-def _draw_rings(canvas: Canvas, pixels: Array, colours: Sequence[Colour], width: int) -> None:
-    for pixel, colour in zip(pixels, colours, strict=True):
-        place = canvas.place(pixel)
-        if place is not None:
-            canvas.circle(place, _RADIUS * width, colour, width)
 
 
 def _draw_ellipses(canvas: Canvas, pixels: Array, covariance: Array, spacing: float, width: int) -> str:
@@ -302,7 +294,12 @@ def _write_ids(canvas: Canvas, ids: Array, pixels: Array, spacing: float) -> Non
 def _draw_refusal(canvas: Canvas, view: BoardDetection) -> Array:
     """Return the picture of an image without points to use: rings around those that were refused, and the reason."""
     lines = [view.image, *_draw_refused(canvas, view.refused)]
-    _write_reason(canvas, view.reason or "nothing found")
+    reason = view.reason or "nothing found"
+    height, width = canvas.pixels.shape[:2]
+    size = width / _WIDE
+    for row, line in enumerate(wrap(f"no board: {reason}", _LONGEST)):
+        place = np.array([0.03 * width, 0.1 * height + 26 * size * row]) / canvas.scale
+        canvas.write(line, canvas.place(place) or (0, 0), _REASON, size)
     return canvas.captioned(lines)
 
 
@@ -313,12 +310,3 @@ def _draw_refused(canvas: Canvas, pixels: Array) -> list[str]:
         if place is not None:
             canvas.circle(place, _RADIUS * canvas.thickness, _REASON, canvas.thickness)
     return [f"red: {len(pixels)} points that were found and are not used"] if len(pixels) else []
-
-
-def _write_reason(canvas: Canvas, reason: str) -> None:
-    """Write in large letters over the picture why there is no board."""
-    height, width = canvas.pixels.shape[:2]
-    size = width / _WIDE
-    for row, line in enumerate(wrap(f"no board: {reason}", _LONGEST)):
-        place = np.array([0.03 * width, 0.1 * height + 26 * size * row]) / canvas.scale
-        canvas.write(line, canvas.place(place) or (0, 0), _REASON, size)

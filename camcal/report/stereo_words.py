@@ -4,8 +4,7 @@ from collections.abc import Sequence
 from math import isnan
 from typing import Any
 
-from camcal.report.table import Column
-from camcal.report.uncertain import value_and_std
+from camcal.report.table import Column, value_and_std
 from camcal.stereo.pair.alignment import LARGEST_CORRECTION, NEGLIGIBLE, WORTH_RECTIFYING, Measured
 from camcal.stereo.pair.pair_check import Exposure, PairCheck
 from camcal.stereo.rectify.record import AXES

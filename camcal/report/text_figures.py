@@ -1,6 +1,11 @@
-"""Figures of a calibration in letters, for a terminal: where corners were in the image, and how residuals spread."""
+"""Figures in letters, for a terminal: where corners were in the image, how residuals spread, a histogram of any values.
 
-from itertools import zip_longest
+The letters are blocks where the encoding of a terminal has them, ASCII otherwise.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise, zip_longest
 
 import numpy as np
 
@@ -8,8 +13,11 @@ from camcal.arrays import Array
 from camcal.calibrate.intrinsics import Calibration
 from camcal.cameras.validity import ImageCircle
 from camcal.quality.assess import coverage
-from camcal.report.letters import Letters, letters
-from camcal.report.uncertain import number_text
+from camcal.report.table import number_text
+
+_FEW_BINS = 8
+_WIDEST_BARS = 60
+_DIGITS = 3
 
 _CELL = 2.0  # height of a letter over its width
 _GAP = 3
@@ -20,6 +28,51 @@ _ROWS = (6, 20)  # of the map
 _BINS = (7, 13)
 _REACH = 3.25  # standard deviations from the middle to either end of the histogram
 _LEVELS = 4
+
+
+@dataclass(frozen=True)
+class Letters:
+    """Levels of gray, parts of a bar and of a column from empty to full, the frame, and other marks.
+
+    frame: corners from the top left in reading order, a horizontal and a vertical line.
+    """
+
+    grays: str
+    bar: str
+    column: str
+    frame: str
+    expected: str
+    outside: str = "/"
+
+
+BLOCKS = Letters(" ░▒▓█", " ▏▎▍▌▋▊▉█", " ▁▂▃▄▅▆▇█", "┌┐└┘─│", "│")
+
+
+ASCII = Letters(" .:o#", " #", " .:-=+*%#", "++++-|", "|")
+
+
+def letters(encoding: str | None) -> Letters:
+    """Return the letters for a stream of an encoding."""
+    try:
+        f"{BLOCKS.grays}{BLOCKS.bar}{BLOCKS.column}{BLOCKS.frame}".encode(encoding or "ascii")
+    except (UnicodeEncodeError, LookupError):
+        return ASCII
+    return BLOCKS
+
+
+def value_histogram(values: Sequence[float], title: str, width: int, encoding: str | None) -> list[str]:
+    """Return a title and a bar with the count for each of some equal ranges of values, in at most `width` letters."""
+    drawn = letters(encoding)
+    counts, ends = np.histogram(values, min(_FEW_BINS, max(1, len(set(values)))))
+    names = [f"{low:.{_DIGITS}g} to {high:.{_DIGITS}g}" for low, high in pairwise(ends)]
+    label, digits = max(map(len, names)), len(str(counts.max()))
+    longest = min(width, _WIDEST_BARS) - label - digits - 2
+    lines = []
+    for name, count in zip(names, counts.tolist(), strict=True):
+        full, rest = divmod(round(count / counts.max() * longest * (len(drawn.bar) - 1)), len(drawn.bar) - 1)
+        bar = drawn.bar[-1] * full + (drawn.bar[rest] if rest else "")
+        lines.append(f"{name:>{label}} {count:>{digits}} {bar}".rstrip())
+    return [title[:width], *lines]
 
 
 def calibration_figures(

@@ -21,8 +21,7 @@ from uuid import uuid4
 
 from camcal import files, system, urls
 from camcal.errors import CamcalError, FileError, InvalidInput, ItemsFailed, reason
-from camcal.folders import TEMPORARY
-from camcal.images import limits
+from camcal.images.options import max_pixels
 from camcal.messages import Message
 from camcal.progress import Item, Outcome, Progress, Value
 from camcal.run import fingerprint
@@ -31,6 +30,7 @@ from camcal.run.options import LOCAL, BatchOptions
 from camcal.run.outputs import Run
 from camcal.run.process import BLAS_THREADS, available_cores, worker_environment
 from camcal.run.workers import item_name
+from camcal.system import TEMPORARY
 
 _AHEAD = 32  # items that are sent, per worker: some wait at the worker, so that it is never idle
 _MOST_TOGETHER = 16  # items in one task of Dask, each of which costs some milliseconds
@@ -151,7 +151,7 @@ def _terms(batch: BatchOptions) -> Iterator[RunTerms]:
             folder=str(Path.cwd()),
             shared=shared,
             versions=fingerprint.versions(),
-            max_pixels=limits.max_pixels(),
+            max_pixels=max_pixels(),
             remote=remote,
             timeout=batch.timeout,
             failure=failure,

@@ -19,12 +19,12 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from camcal import files, folders, urls
+from camcal import files, system, urls
 from camcal.errors import CamcalError, FileError, InvalidInput, ItemsFailed
-from camcal.images import limits
+from camcal.images.options import max_pixels, set_max_pixels
 from camcal.progress import Item, Outcome, Value
 from camcal.run import fingerprint
-from camcal.run.fanout import one_opencv_thread
+from camcal.run.process import one_opencv_thread
 from camcal.run.workers import attempt, item_name
 
 Answer = tuple[Value | None, CamcalError | None] | None
@@ -102,15 +102,15 @@ def _terms_kept(terms: RunTerms) -> Iterator[None]:
             folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         stack.enter_context(chdir(folder))
         stack.enter_context(_set(files.LEDGER, SharedFolders(terms)))
-        stack.enter_context(_set(folders.KNOWN, {}))  # a part of the run, on a machine with its own numbers of folders
+        stack.enter_context(_set(system.KNOWN, {}))  # a part of the run, on a machine with its own numbers of folders
         stack.enter_context(_set(urls.REMOTE, terms.remote))
         stack.enter_context(one_opencv_thread())
-        before = limits.max_pixels()
-        limits.set_max_pixels(terms.max_pixels)
+        before = max_pixels()
+        set_max_pixels(terms.max_pixels)
         try:
             yield
         finally:
-            limits.set_max_pixels(before)
+            set_max_pixels(before)
 
 
 @contextmanager

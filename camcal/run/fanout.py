@@ -1,25 +1,22 @@
 """One function over many items on all cores, results in input order.
 
 Threads serve work that is all OpenCV. Worker processes (`run.workers`) serve where Python works, where a crash must be
-contained, and where an item may be stopped. Nothing else starts threads or processes.
-
-Threads can also share the work on one item; OpenCV is kept to one thread of its own then.
+contained, and where an item may be stopped. Threads that share the work on one item are those of `run.process`.
 """
 
 import threading
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Sized
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import contextmanager
 from contextvars import copy_context
 from dataclasses import replace
 
-from camcal import folders
+from camcal import system
 from camcal.errors import InvalidInput
 from camcal.messages import Message
 from camcal.progress import SILENT, Item, Outcome, Progress, Value
 from camcal.run.options import DEFAULT_BATCH, BatchOptions
-from camcal.run.process import available_cores
+from camcal.run.process import available_cores, one_opencv_thread, startable
 from camcal.run.workers import WorkerPool, attempt
 
 _THREAD_WINDOW = 2  # items submitted per thread: one at work, one waiting; more only holds memory
@@ -49,7 +46,7 @@ def fan_out(
     crashes costs its item only (ItemsFailed) and is replaced.
     timeout: seconds for one item of several; one that takes longer is stopped with its worker, which takes a process.
     OpenCV and BLAS have one thread per worker, so that results do not depend on `jobs`.
-    Raises InvalidInput if jobs is less than 1, FileError if a folder that is written into was replaced (`folders`).
+    Raises InvalidInput if jobs is less than 1, FileError if a folder that is written into was replaced (`system`).
     """
     if jobs is not None and jobs < 1:
         raise InvalidInput(f"{jobs} jobs, need at least 1", where="jobs")
@@ -103,7 +100,7 @@ def _report(
             done += 1
             progress.advance()
             if outcome.error is not None:
-                folders.require_all_same()  # what fails for that would fail for all that follow
+                system.require_all_same()  # what fails for that would fail for all that follow
             yield outcome
     finally:
         outcomes.close()
@@ -154,55 +151,3 @@ def _run_threads(
         finally:
             # Items at work are finished, so that no temporary file is left behind; the others are dropped.
             pool.shutdown(wait=True, cancel_futures=True)
-
-
-def startable(count: int) -> int:
-    """Return how many of `count` threads the limits of this process, its user and its memory let start at once."""
-    end = threading.Event()
-    threads = [threading.Thread(target=end.wait, daemon=True) for _ in range(count)]
-    started: list[threading.Thread] = []
-    try:
-        for thread in threads:
-            thread.start()
-            started.append(thread)
-    except RuntimeError:  # "can't start new thread"
-        pass
-    finally:
-        end.set()
-        for thread in started:
-            thread.join()
-    return len(started)
-
-
-@contextmanager
-def over_threads(jobs: int | None = None) -> Iterator[Callable[[Callable[[Item], object], Iterable[Item]], None]]:
-    """Lend a function that does one piece of work for every item, on as many threads as there are cores.
-
-    It returns when all are done, in whatever order; so the pieces must not depend on one another. An error of one of
-    them is raised when the others are done. OpenCV has one thread per worker meanwhile.
-    """
-    count = startable(jobs or available_cores())
-    with one_opencv_thread(), ThreadPoolExecutor(max(count, 1), thread_name_prefix="camcal") as pool:
-
-        def each(work: Callable[[Item], object], items: Iterable[Item]) -> None:
-            if not count:
-                for item in items:
-                    work(item)
-                return
-            for done in [pool.submit(copy_context().run, work, item) for item in items]:
-                done.result()
-
-        yield each
-
-
-@contextmanager
-def one_opencv_thread() -> Iterator[None]:
-    """Give OpenCV one thread for the block."""
-    import cv2
-
-    before = cv2.getNumThreads()
-    cv2.setNumThreads(1)
-    try:
-        yield
-    finally:
-        cv2.setNumThreads(before)

@@ -10,25 +10,23 @@ files and what it printed as JSON: a run whose inputs, settings and outputs are 
 import glob
 import json
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Generic
+from typing import Any
 
-from camcal import files, folders, urls
+from camcal import files, system, urls
 from camcal.errors import CamcalError, FileError, reason
 from camcal.options import declared
 from camcal.parsing import in_one_line
 from camcal.progress import SILENT, Item, Outcome, Progress, Value, values_of
-from camcal.run import fingerprint, manifest, records
+from camcal.run import fingerprint, manifest
 from camcal.run.fanout import fan_out
 from camcal.run.manifest import Entry
-from camcal.run.option_paths import inputs_of, outputs_of
-from camcal.run.options import DEFAULT_BATCH, BatchOptions
+from camcal.run.options import DEFAULT_BATCH, BatchOptions, counts, inputs_of, outputs_of
 from camcal.run.outputs import Run, listed
-from camcal.run.resume import MadeItem, made_from, remembering
+from camcal.run.resume import Items, MadeItem, Recording, Store, remembering
 
 _JOURNAL: ContextVar["Journal | None"] = ContextVar("journal", default=None)
 
@@ -38,7 +36,7 @@ def path_beside(output: Path) -> Path:
     return output.with_name(f".{output.name}.camcal-journal")
 
 
-def going_on(output: Path | None) -> str:
+def resume_hint(output: Path | None) -> str:
     """Return what to add to the error of a run that has left its journal, nothing if it has not."""
     left = output is not None and path_beside(output).is_file()
     return "; with --resume the others are not searched again" if left else ""
@@ -58,7 +56,7 @@ class Journal:
         """Add a line; raises FileError if it cannot be written."""
         line = f"{fingerprint}\t{urls.named(json.dumps(data, separators=(',', ':')))}\n"
         try:
-            folders.prepare(self.path.parent)
+            system.prepare(self.path.parent)
             urls.append(self.path, f"\n{line}".encode())  # after what a killed run or a full disk left of a line
         except OSError as error:
             raise FileError(f"cannot be written: {reason(error)}", where=str(self.path)) from error
@@ -71,7 +69,7 @@ class Journal:
     def remove(self) -> None:
         """Remove the file, if there is one."""
         with suppress(OSError, FileError):  # of a folder that cannot be written; the next run is not worse off
-            folders.require_same(self.path.parent)
+            system.require_same(self.path.parent)
             urls.remove(self.path)
 
 
@@ -116,31 +114,10 @@ def journal_beside(output: Path | None, batch: BatchOptions) -> Iterator[None]:
         _JOURNAL.reset(token)
 
 
-@dataclass(frozen=True)
-class Found(Generic[Item, Value]):
-    """What is found in images: settings, inputs: as of `resume.Items`. result: the type of what is found."""
-
-    settings: str
-    inputs: Callable[[Item], Sequence[Path | str]]
-    result: Any
-
-
-@dataclass(frozen=True)
-class _Looked(Generic[Item, Value]):
-    """A function of items that also says what they were made from."""
-
-    function: Callable[[Item], Value]
-    found: Found[Item, Value]
-
-    def __call__(self, item: Item) -> MadeItem[Value]:
-        before = made_from(self.found.settings, self.found.inputs(item))
-        return MadeItem(self.function(item), before, ())
-
-
 def journaled(
     function: Callable[[Item], Value],
     every: Iterable[Item],
-    found: Found[Item, Value],
+    items: Items[Item, Value],
     *,
     jobs: int | None = None,
     batch: BatchOptions = DEFAULT_BATCH,
@@ -154,14 +131,14 @@ def journaled(
         return fan_out(
             function, every, jobs=jobs, batch=batch, processes=True, what=what, progress=progress, timeout=timeout
         )
-    looked = _Looked(function, found)
+    recording = Recording(function, items)
 
     def fan(left: Iterable[Item]) -> Iterator[Outcome[Item, MadeItem[Value]]]:
         return fan_out(
-            looked, left, jobs=jobs, batch=batch, processes=True, what=what, progress=progress, timeout=timeout
+            recording, left, jobs=jobs, batch=batch, processes=True, what=what, progress=progress, timeout=timeout
         )
 
-    outcomes = remembering(_Journaled(kept, found), every, fan, jobs=jobs, batch=batch, progress=progress)
+    outcomes = remembering(JournalStore(kept, items), every, fan, jobs=jobs, batch=batch, progress=progress)
     return _note_failures(kept, outcomes)
 
 
@@ -172,40 +149,30 @@ def _note_failures(kept: Journal, outcomes: Iterable[Outcome[Item, Value]]) -> I
         yield outcome
 
 
-class _Journaled(Generic[Item, Value]):
-    """What was found in images as a journal knows it; see `resume.Memory`."""
+class JournalStore(Store[Item, Value]):
+    """What was found in images as a journal knows it."""
 
-    def __init__(self, kept: Journal, found: Found[Item, Value]) -> None:
+    def __init__(self, kept: Journal, items: Items[Item, Value]) -> None:
+        super().__init__(items)
         self.kept = kept
-        self.found = found
-
-    def made_from(self, item: Item) -> str:
-        """See `resume.Memory`."""
-        return made_from(self.found.settings, self.found.inputs(item))
 
     def holds(self, item: Item) -> bool:  # noqa: ARG002 - only its fingerprint tells
-        """See `resume.Memory`."""
         return bool(self.kept.known)
 
     def reuse(self, item: Item, fingerprint_now: str) -> Outcome[Item, Value] | None:
-        """See `resume.Memory`."""
         data = self.kept.known.get(fingerprint_now)
         if data is not None:
             with suppress(KeyError, IndexError, TypeError, ValueError, CamcalError):  # changed by hand
-                value = records.of_plain(self.found.result, json.loads(urls.standing(data)))
+                value = fingerprint.value_of_plain(self.items.result, json.loads(urls.standing(data)))
                 run = files.LEDGER.get()
                 if isinstance(run, Run):
                     run.found_before += 1
                 return Outcome(item, value, reused=True)
         return None
 
-    def release(self, left: Sequence[Item], *, claimed: bool) -> None:
-        """See `resume.Memory`."""
-
     def record(self, item: Item, made: MadeItem[Value]) -> None:  # noqa: ARG002 - see `holds`
-        """See `resume.Memory`."""
         with suppress(FileError):  # it would only be found again
-            self.kept.add(made.made_from, records.as_plain(made.value))
+            self.kept.add(made.made_from, fingerprint.as_plain(made.value))
 
 
 class Finished:
@@ -253,7 +220,7 @@ class Finished:
 
 def _other_options(options: Any, output: Path) -> dict[str, list[str]]:
     """Return the options that count beside the settings: the other files that are written, and checks of the result."""
-    known = [each for each in declared(type(options)) if fingerprint.counts(each) and not each.option.recorded]
+    known = [each for each in declared(type(options)) if counts(each) and not each.option.recorded]
     values = [(each, each.of(options)) for each in known]
     return {each.key: each.words(value) for each, value in values if value is not None and value != output}
 

@@ -11,13 +11,14 @@ import re
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import NamedTuple
 
-from camcal import files, folders, system, urls
-from camcal.errors import FileError, reason
+from camcal import files, system, urls
+from camcal.errors import CamcalError, FileError, reason
 from camcal.parsing import in_one_line
+from camcal.run.process import over_threads
 
 MANIFEST = ".camcal-output"
 
@@ -97,21 +98,23 @@ def begins_with(path: Path, other: Path) -> bool:
 def unchanged(known: Sequence[tuple[Path, Entry]]) -> list[bool]:
     """Return of each of some files whether it has the content that is known of it."""
     if len(known) < _MANY:
-        return list(map(_is_of, known))
-    from camcal.run.fanout import fan_out  # a folder of many files only: its worker processes take long to import
+        return [entry.is_of(path) for path, entry in known]
+    same = [False] * len(known)
 
-    return [outcome.value is True for outcome in fan_out(_is_of, known)]
+    def compare(number: int) -> None:
+        path, entry = known[number]
+        with suppress(CamcalError):
+            same[number] = entry.is_of(path)
 
-
-def _is_of(known: tuple[Path, Entry]) -> bool:
-    path, entry = known
-    return entry.is_of(path)
+    with over_threads() as over:
+        over(compare, range(len(known)))
+    return same
 
 
 @contextmanager
 def _changing(folder: Path) -> Iterator[None]:
     try:
-        folders.prepare(folder)
+        system.prepare(folder)
         with system.locked(folder), files.unwatched():
             yield
     except OSError as error:

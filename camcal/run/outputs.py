@@ -23,12 +23,12 @@ from typing import Any, ParamSpec, TypeVar
 
 from camcal import files
 from camcal.errors import FileError, InvalidInput, reason
-from camcal.folders import KNOWN, OutputFolders, require_writable
 from camcal.options import Declared, declared
 from camcal.parsing import in_one_line
 from camcal.run import manifest
 from camcal.run.manifest import MANIFEST, Entry
-from camcal.run.option_paths import inputs_of, is_folder, outputs_of, refuse_one_place, require_folder
+from camcal.run.options import inputs_of, is_folder, outputs_of, refuse_one_place, require_folder
+from camcal.system import KNOWN, OutputFolders, require_writable
 
 _HEAD = 4096  # bytes in which a text says who wrote it
 _MARK = re.compile(rb'\A(?:%YAML[^\n]*\n---\n)?# (?:[^\n]*\b)?camcal\b|"(?:format|schema|tool)": "camcal\b')
@@ -47,7 +47,7 @@ def writes(task: Callable[P, R]) -> Callable[P, R]:
 
     @wraps(task)
     def watched(*arguments: P.args, **named: P.kwargs) -> R:
-        with watching() as run:
+        with watch_files() as run:
             options: Any = arguments[0] if arguments else named["options"]
             run.add({each: each.of(options) for each in declared(type(options))})
             return task(*arguments, **named)
@@ -56,7 +56,7 @@ def writes(task: Callable[P, R]) -> Callable[P, R]:
 
 
 @contextmanager
-def watching(read: Iterable[Path] = ()) -> Iterator["Run"]:
+def watch_files(read: Iterable[Path] = ()) -> Iterator["Run"]:
     """Yield the run that keeps account of files during the block, the one around it if there is one.
 
     read: files that have been read for it before.

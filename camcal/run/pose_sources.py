@@ -95,13 +95,9 @@ def _some(found: Sequence[Item], text: str) -> Sequence[Item]:
 
 def _join(texts: Sequence[str]) -> list[str]:
     """Return arguments, or one of them all if each is a single number."""
-    if len(texts) > 1 and all(_is_number(text) for text in texts):
+    if len(texts) > 1 and all(len(text.split()) == 1 and is_row(text) for text in texts):
         return [" ".join(texts)]
     return list(texts)
-
-
-def _is_number(text: str) -> bool:
-    return len(text.split()) == 1 and is_row(text)
 
 
 def _is_said(text: str) -> bool:

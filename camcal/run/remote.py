@@ -65,7 +65,7 @@ class RemoteFiles:
             return text
         protocol, rest = found[1].lower(), text[found.end(1) + len("://") :]
         url, path = f"{protocol}://{rest}", self._path_of(protocol, rest)
-        with _reached(url):
+        with _reach(url):
             self._list(url, path)
         return f"{text[: found.start()]}{path}"
 
@@ -125,7 +125,7 @@ class RemoteFiles:
                 return copies[path]
         copy, url = self.new_file(path), self.named(path.as_posix())
         (self._copies if scope is None else scope)[path] = copy
-        with _reached(url):
+        with _reach(url):
             system, place = _file_system(url)
             system.get_file(place, str(copy))
         return copy
@@ -145,7 +145,7 @@ class RemoteFiles:
     def send(self, temporary: Path, path: Path) -> None:
         """Let the content of a temporary file take the place of the file of a URL."""
         url = self.named(path.as_posix())
-        with _reached(url, "cannot be written: no such bucket or folder"):
+        with _reach(url, "cannot be written: no such bucket or folder"):
             _upload(temporary, url)
         self._forget(path)
         if self.root.is_dir():
@@ -172,7 +172,7 @@ class RemoteFiles:
         """Let the file of a URL have all that was added to its copy."""
         if path in self._unsent:
             url = self.named(path.as_posix())
-            with _reached(url):
+            with _reach(url):
                 _upload(self.local(path), url)
             self._unsent.remove(path)
 
@@ -181,7 +181,7 @@ class RemoteFiles:
         if not path.is_file():
             return
         url = self.named(path.as_posix())
-        with _reached(url), suppress(FileNotFoundError):  # of a file that was not sent yet
+        with _reach(url), suppress(FileNotFoundError):  # of a file that was not sent yet
             system, place = _file_system(url)
             system.rm_file(place)
         self._forget(path)
@@ -224,7 +224,7 @@ def _file_system(url: str) -> tuple[Any, str]:
 
 
 @contextmanager
-def _reached(url: str, missing: str = "no such file") -> Iterator[None]:
+def _reach(url: str, missing: str = "no such file") -> Iterator[None]:
     """Turn what goes wrong at a URL into errors of the user: every file system has exceptions of its own."""
     try:
         yield

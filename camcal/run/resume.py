@@ -7,19 +7,20 @@ is read, the next run makes the item again.
 
 import json
 import os
+from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from collections.abc import Set as AbstractSet
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Generic, Protocol
+from typing import Any, Generic
 
 from camcal import files
 from camcal.errors import FileError
 from camcal.files import Ledger
 from camcal.progress import SILENT, Item, Outcome, Progress, Value
-from camcal.run import fingerprint, manifest, records
+from camcal.run import fingerprint, manifest
 from camcal.run.fanout import fan_out, only_outcome
 from camcal.run.manifest import Entry
 from camcal.run.options import DEFAULT_BATCH, BatchOptions
@@ -39,13 +40,13 @@ class Items(Generic[Item, Value]):
     settings: see `fingerprint.of_settings`. inputs: of an item, its files, and texts that count as they are, such as
     a hash that is known already. outputs: all files that may be written of it, the one that is always written first;
     they are claimed before. result: the type of what the function returns, whose paths are among these files, or those
-    that `named` gives.
+    that `named` gives. What is only found in an image, and kept in a journal, has no outputs.
     """
 
     settings: str
     inputs: Callable[[Item], Sequence[Path | str]]
-    outputs: Callable[[Item], Sequence[Path]]
-    result: Any
+    outputs: Callable[[Item], Sequence[Path]] = _no_paths
+    result: Any = None
     named: Callable[[Item], Sequence[Path]] = _no_paths
 
     def made_from(self, item: Item) -> str:
@@ -106,16 +107,21 @@ class ItemLedger:
 
 
 @dataclass(frozen=True)
-class _Recorded(Generic[Item, Value]):
-    """A function of items that also says what they were made from and which files were written."""
+class Recording(Generic[Item, Value]):
+    """A function of items that also says what they were made from and which files were written.
+
+    shortened: outputs that are shorter than they were written, None for items without outputs.
+    """
 
     function: Callable[[Item], Value]
     items: Items[Item, Value]
-    shortened: AbstractSet[Path]
-    resume: bool
+    shortened: AbstractSet[Path] | None = None
+    resume: bool = False
 
     def __call__(self, item: Item) -> MadeItem[Value]:
         fingerprint_before = self.items.made_from(item)
+        if self.shortened is None:
+            return MadeItem(self.function(item), fingerprint_before, ())
         ledger = ItemLedger(files.LEDGER.get(), self.shortened, self.resume)
         token = files.LEDGER.set(ledger)
         try:
@@ -125,21 +131,24 @@ class _Recorded(Generic[Item, Value]):
         return MadeItem(value, fingerprint_before, tuple(ledger.made.items()))
 
 
-class Memory(Protocol[Item, Value]):
+class Store(ABC, Generic[Item, Value]):
     """What earlier runs left of the items of a batch, and where this run leaves the same."""
 
-    def made_from(self, item: Item) -> str:
-        """Return the fingerprint of an item; raises FileError if an input cannot be read."""
+    def __init__(self, items: Items[Item, Value]) -> None:
+        self.items = items
 
+    @abstractmethod
     def holds(self, item: Item) -> bool:
         """Return whether something is known of an item, so that it is worth while to ask what it is made from."""
 
+    @abstractmethod
     def reuse(self, item: Item, fingerprint_now: str) -> Outcome[Item, Value] | None:
         """Return what came of an item in an earlier run, None if that is not complete or does not match."""
 
     def release(self, left: Sequence[Item], *, claimed: bool) -> None:
         """Note that items are about to be made; claimed: their outputs are listed already."""
 
+    @abstractmethod
     def record(self, item: Item, made: MadeItem[Value]) -> None:
         """Keep what came of an item."""
 
@@ -148,7 +157,7 @@ Fan = Callable[[Iterable[Item]], Iterator[Outcome[Item, MadeItem[Value]]]]
 
 
 def remembering(
-    memory: Memory[Item, Value],
+    store: Store[Item, Value],
     every: Iterable[Item],
     fan: "Fan[Item, Value]",
     *,
@@ -158,62 +167,62 @@ def remembering(
 ) -> Iterator[Outcome[Item, Value]]:
     """Yield what became of every item in their order: with batch.resume what is remembered, else what `fan` makes."""
     if not isinstance(every, Sequence):
-        yield from _stream(memory, every, fan, reuse=batch.resume)
+        yield from _stream(store, every, fan, reuse=batch.resume)
         return
     reused: dict[int, Outcome[Item, Value]] = {}
     if batch.resume:
-        known = [index for index, item in enumerate(every) if memory.holds(item)]
-        now = _fingerprints(memory, [every[index] for index in known], jobs, batch, progress)
-        found = {index: memory.reuse(every[index], made_from) for index, made_from in zip(known, now, strict=True)}
+        known = [index for index, item in enumerate(every) if store.holds(item)]
+        now = _fingerprints(store, [every[index] for index in known], jobs, batch, progress)
+        found = {index: store.reuse(every[index], made_from) for index, made_from in zip(known, now, strict=True)}
         reused = {index: outcome for index, outcome in found.items() if outcome is not None}
     left = [item for index, item in enumerate(every) if index not in reused]
-    memory.release(left, claimed=True)
+    store.release(left, claimed=True)
     made = fan(left) if left else iter(())
     upcoming = next(made, None)
     for index, item in enumerate(every):
         if index in reused:
             yield reused[index]
         elif upcoming is not None and upcoming.item is item:  # others were not begun, after one that failed
-            yield _keep(memory, upcoming)
+            yield _keep(store, upcoming)
             upcoming = next(made, None)
 
 
 def _fingerprints(
-    memory: Memory[Item, Value], items: Sequence[Item], jobs: int | None, batch: BatchOptions, progress: Progress
+    store: Store[Item, Value], items: Sequence[Item], jobs: int | None, batch: BatchOptions, progress: Progress
 ) -> list[str]:
     """Return what items are made from now; empty where an input cannot be read."""
     if not items:
         return []
     here = replace(batch, scheduler=None, timeout=None, fail_fast=False)
-    compared = fan_out(memory.made_from, items, jobs=jobs, batch=here, what=CHECKING, progress=progress)
+    compared = fan_out(store.items.made_from, items, jobs=jobs, batch=here, what=CHECKING, progress=progress)
     return [outcome.value or "" for outcome in compared]
 
 
 def _stream(
-    memory: Memory[Item, Value], every: Iterable[Item], fan: "Fan[Item, Value]", *, reuse: bool
+    store: Store[Item, Value], every: Iterable[Item], fan: "Fan[Item, Value]", *, reuse: bool
 ) -> Iterator[Outcome[Item, Value]]:
     """Yield what became of items that come one after another, such as frames, in their order."""
     before: deque[Outcome[Item, Value] | None] = deque()  # None: the next one that is made
 
     def left() -> Iterator[Item]:
         for item in every:
-            before.append(memory.reuse(item, memory.made_from(item)) if reuse and memory.holds(item) else None)
+            before.append(store.reuse(item, store.items.made_from(item)) if reuse and store.holds(item) else None)
             if before[-1] is None:
-                memory.release([item], claimed=False)
+                store.release([item], claimed=False)
                 yield item
 
     for outcome in fan(left()):
         while (reused := before.popleft()) is not None:
             yield reused
-        yield _keep(memory, outcome)
+        yield _keep(store, outcome)
     yield from (reused for reused in before if reused is not None)
 
 
-def _keep(memory: Memory[Item, Value], outcome: Outcome[Item, MadeItem[Value]]) -> Outcome[Item, Value]:
+def _keep(store: Store[Item, Value], outcome: Outcome[Item, MadeItem[Value]]) -> Outcome[Item, Value]:
     made = outcome.value
     if made is None:
         return Outcome(outcome.item, error=outcome.error)
-    memory.record(outcome.item, made)
+    store.record(outcome.item, made)
     return Outcome(outcome.item, made.value)
 
 
@@ -236,30 +245,27 @@ def resumable(
     run = files.LEDGER.get()
     if not isinstance(run, Run):
         raise TypeError("only a task that is watched has outputs")
-    recorded = _Recorded(function, items, run.shortened, batch.resume)
+    recorded = Recording(function, items, run.shortened, batch.resume)
 
     def fan(left: Iterable[Item]) -> Iterator[Outcome[Item, MadeItem[Value]]]:
         if alone:
             return (only_outcome(recorded, item, batch) for item in left)
         return fan_out(recorded, left, jobs=jobs, batch=batch, processes=processes, what=what, progress=progress)
 
-    return remembering(_Listed(run, items), every, fan, jobs=jobs, batch=batch, progress=progress)
+    return remembering(FolderStore(run, items), every, fan, jobs=jobs, batch=batch, progress=progress)
 
 
-class _Listed(Generic[Item, Value]):
+class FolderStore(Store[Item, Value]):
     """The outputs of items as the lists of their folders know them."""
 
     def __init__(self, run: Run, items: Items[Item, Value]) -> None:
+        super().__init__(items)
         self.run = run
-        self.items = items
-        self.made_from = items.made_from
 
     def holds(self, item: Item) -> bool:
-        """See `Memory`."""
         return self.run.known(self.items.outputs(item)[0]) is not None
 
     def reuse(self, item: Item, fingerprint_now: str) -> Outcome[Item, Value] | None:
-        """See `Memory`."""
         outputs = self.items.outputs(item)
         entry = self.run.known(outputs[0])
         if entry is None or not entry.made_from or entry.made_from != fingerprint_now:
@@ -268,12 +274,12 @@ class _Listed(Generic[Item, Value]):
             kept = json.loads(entry.result)
             known = [self.run.known(outputs[number]) for number in kept["files"]]
             if all(each is not None and each.made_from == entry.made_from for each in known):
-                value = records.of_plain(self.items.result, kept["value"], self.items.paths(item))
+                value = fingerprint.value_of_plain(self.items.result, kept["value"], self.items.paths(item))
                 return Outcome(item, value, reused=True)
         return None
 
     def release(self, left: Sequence[Item], *, claimed: bool) -> None:
-        """See `Memory`; from now on nothing is known of the files, whenever the run ends."""
+        """From now on nothing is known of the files, whenever the run ends."""
         folders: dict[Path, dict[str, Entry | None]] = {}
         for path in (path for item in left for path in self.items.outputs(item)):
             was_known = self.run.intact.pop(path.absolute(), None) is not None
@@ -286,11 +292,10 @@ class _Listed(Generic[Item, Value]):
             manifest.append(folder, names)
 
     def record(self, item: Item, made: MadeItem[Value]) -> None:
-        """See `Memory`."""
         outputs = list(self.items.outputs(item))
         kept = {
             "files": [outputs.index(path) for path, _ in made.files],
-            "value": records.as_plain(made.value, self.items.paths(item)),
+            "value": fingerprint.as_plain(made.value, self.items.paths(item)),
         }
         folders: dict[Path, dict[str, Entry | None]] = {}
         for path, entry in made.files:

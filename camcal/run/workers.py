@@ -9,6 +9,7 @@ import itertools
 import multiprocessing
 import os
 import pickle
+import sys
 import tempfile
 import threading
 import time
@@ -23,7 +24,7 @@ from typing import Any, Generic, NamedTuple
 
 import numpy as np
 
-from camcal import folders, urls
+from camcal import system, urls
 from camcal.errors import ItemsFailed, translated
 from camcal.progress import Item, Outcome, Value
 from camcal.run.process import ended_by, heed_parent, worker_environment
@@ -33,6 +34,10 @@ _STARTS = 3  # workers in a row that may die before they are ready, until that i
 _GRACE = 0.5  # seconds a worker has to remove its temporary files when it is told to stop
 _LARGE = 1 << 16  # bytes of an array that is mapped and not copied to every worker
 _ALIGNMENT = 64  # bytes, a line of the processor's cache
+# Processes are forked from a server that has imported what its parent had: they start in no time, and those of a later
+# fan-out too.
+_SERVED = "forkserver" in multiprocessing.get_all_start_methods()
+_CONTEXT = multiprocessing.get_context("forkserver") if _SERVED else multiprocessing.get_context("spawn")
 _LONGEST_WAIT = 3600.0  # seconds that a system's call surely takes
 
 
@@ -118,16 +123,15 @@ class _Worker:
     """A process, its pipe, and the item it is at."""
 
     def __init__(self, payload: Payload) -> None:
-        context = multiprocessing.get_context("spawn")
-        self.pipe, theirs = context.Pipe()
-        own = theirs, payload, urls.REMOTE.get(), folders.KNOWN.get()
-        self.process = context.Process(target=_serve, args=own, daemon=True)
+        self.pipe, theirs = _CONTEXT.Pipe()
         self.ready = False
         self.task: tuple[int, Any] | None = None
         self.deadline = float("inf")
         if os.name == "posix":  # starting the tracker later would unblock Ctrl-C, which the next line blocks
             resource_tracker.ensure_running()
         with worker_environment(needs_main=b"__main__" in payload.message):
+            own = theirs, payload, dict(os.environ), urls.REMOTE.get(), system.KNOWN.get()
+            self.process = _CONTEXT.Process(target=_serve, args=own, daemon=True)
             self.process.start()
         theirs.close()
 
@@ -172,6 +176,9 @@ class WorkerPool(Generic[Item, Value]):
     def outcomes(self) -> Generator[Outcome[Item, Value]]:
         """Yield the outcomes in the order of the items; the workers are gone when this ends, however it ends."""
         self.payload = Payload.of(self.function)
+        if _SERVED:
+            ours = sorted(name for name in sys.modules if name.partition(".")[0] == __name__.partition(".")[0])
+            _CONTEXT.set_forkserver_preload(ours)
         try:
             for position in itertools.count():
                 while position not in self.finished:
@@ -273,11 +280,14 @@ def _stop(workers: list[_Worker]) -> None:
         worker.process.close()
 
 
-def _serve(pipe: Connection, payload: Payload, remote: urls.Remote | None, known: folders.Known) -> None:
+def _serve(
+    pipe: Connection, payload: Payload, environment: dict[str, str], remote: urls.Remote | None, known: system.Known
+) -> None:
     """Work in a worker process: take an item from the pipe, answer, until the pipe closes."""
     heed_parent()
+    os.environ.update(environment)  # the server of forks has that of its own start
     urls.REMOTE.set(remote)
-    folders.KNOWN.set(known)
+    system.KNOWN.set(known)
     threading.Thread(target=_leave_with_parent, args=(payload,), daemon=True).start()
     with suppress(EOFError, OSError):
         try:

@@ -8,7 +8,7 @@ the rows gives the image. Nothing is supersampled; curved and slanted edges and 
 the work grows with the length of the edges, not with the area.
 
 The true shape of a board has formulas of its own, bow, twist, cubic and stretch, written apart from the basis that
-calibration estimates (targets/surface.py), so that a mistake in one does not hide in the other. x and y run over
+calibration estimates (targets/board.py), so that a mistake in one does not hide in the other. x and y run over
 [-1, 1] on the points, as drawn; the border follows the formulas.
 """
 

@@ -11,7 +11,8 @@ from itertools import chain
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.cameras.model import Camera, CameraModel, Rig
+from camcal.cameras.lens import CameraModel
+from camcal.cameras.model import Camera, Rig
 from camcal.errors import InvalidInput
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose

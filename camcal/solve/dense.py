@@ -9,6 +9,7 @@ Least-Squares Minimization, 2012 (geodesic acceleration).
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import product
 from typing import Generic, TypeVar
 
 import numpy as np
@@ -194,6 +195,21 @@ class DenseMethod(Generic[State]):
     full: bool = False
     room: Room[State] | None = None
     residuals: Callable[[State], Array] | None = None
+
+
+def minimise_nonnegative(matrix: Array, vector: Array) -> Array:
+    """Return the minimum (n,) of ½ xᵀ A x - bᵀ x over x ≥ 0, A (n, n) positive definite and n small: the lowest of
+    those with some of the unknowns at 0 and the others where they would be alone.
+    """
+    best, lowest = np.zeros(len(vector)), 0.0
+    for chosen in product((False, True), repeat=len(vector)):
+        free = np.flatnonzero(chosen)
+        values = np.linalg.solve(matrix[np.ix_(free, free)], vector[free])
+        cost = -0.5 * float(values @ vector[free])
+        if cost < lowest and (values >= 0).all():
+            best, lowest = np.zeros(len(vector)), cost
+            best[free] = values
+    return best
 
 
 def minimise_dense(

@@ -18,6 +18,8 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.solve.losses import Loss
 
+_SUBSTITUTED = 8  # rows of a triangle that is inverted row by row
+
 
 class SingularError(Exception):
     """The normal matrix has no inverse: some parameters cannot be distinguished."""
@@ -118,7 +120,7 @@ class NormalEquations:
         root = np.linalg.cholesky(self.group_group[:, first, first])
         size = self.group_group.shape[-1] - count
         right = [self.group_group[:, first, last], self.group_shared[:, first], self.gradient.groups[:, first, None]]
-        gone = lower_solve(root, np.concatenate(right, axis=2))
+        gone = lower_inverse(root) @ np.concatenate(right, axis=2)
         gram = gone.transpose(0, 2, 1) @ gone
         own, others, dense = slice(0, size), slice(size, -1), self.group_products.shape[-1]
         return NormalEquations(
@@ -137,17 +139,19 @@ class NormalEquations:
 @dataclass(frozen=True, eq=False)
 class Factors:
     """Factors of the normal matrix: group_root (G, g, g) and shared_root (S, S) are lower Cholesky factors of the
-    groups' blocks and of the Schur complement; reduced (G, g, S) is group_root⁻¹ · group_shared.
+    groups' blocks and of the Schur complement, group_inverse (G, g, g) is group_root⁻¹; reduced (G, g, S) is
+    group_inverse · group_shared.
     """
 
     group_root: Array
+    group_inverse: Array
     reduced: Array
     shared_root: Array
     equations: NormalEquations = field(repr=False)
 
     @cached_property
     def _eliminated(self) -> Array:
-        return lower_solve(self.group_root, self.equations.gradient.groups[..., None])[..., 0]
+        return (self.group_inverse @ self.equations.gradient.groups[..., None])[..., 0]
 
     def reduced_gradient(self) -> Array:
         """Return the gradient (S,) of the cost by the shared parameters when every group follows them."""
@@ -157,7 +161,8 @@ class Factors:
         """Return the step that minimises the quadratic model."""
         eliminated = self._eliminated
         shared = -cholesky_solve(self.shared_root, self.reduced_gradient())
-        groups = -upper_solve(self.group_root, (eliminated + self.reduced @ shared)[..., None])[..., 0]
+        followed = (eliminated + self.reduced @ shared)[..., None]
+        groups = -(self.group_inverse.transpose(0, 2, 1) @ followed)[..., 0]
         return Step(shared, groups)
 
     @cached_property
@@ -173,7 +178,7 @@ class Factors:
         parameters included; shared: (D, D) that of the first D of them, where it is not what these equations say.
         """
         shared = self.shared_covariance() if shared is None else shared
-        by_root = self.inverse_group_root()[:, :, :count].transpose(0, 2, 1)
+        by_root = self.group_inverse[:, :, :count].transpose(0, 2, 1)
         coupling = by_root @ self.reduced[:, :, : len(shared)]
         return np.asarray(by_root @ by_root.transpose(0, 2, 1) + coupling @ shared @ coupling.transpose(0, 2, 1))
 
@@ -181,11 +186,6 @@ class Factors:
         """Return the logarithm of the determinant of the normal matrix."""
         roots = np.einsum("gii->gi", self.group_root), np.diag(self.shared_root)
         return float(sum(2 * np.log(root).sum() for root in roots))
-
-    def inverse_group_root(self) -> Array:
-        """Return the inverses (G, g, g) of the groups' Cholesky factors."""
-        identity = np.broadcast_to(np.eye(self.group_root.shape[-1]), self.group_root.shape)
-        return lower_solve(self.group_root, identity)
 
     def group_information(self) -> Array:
         """Return each group's part (G, D, D) of the Schur complement of the first D shared parameters, on which all
@@ -208,11 +208,8 @@ def factorise(equations: NormalEquations) -> Factors:
     """Return the factors of the normal equations; raises SingularError if they have no unique solution."""
     try:
         group_root = np.linalg.cholesky(equations.group_group)
-        if equations.group_shared.shape[2] > group_root.shape[2]:
-            identity = np.broadcast_to(np.eye(group_root.shape[2]), group_root.shape)
-            reduced = lower_solve(group_root, identity) @ equations.group_shared
-        else:
-            reduced = lower_solve(group_root, equations.group_shared)
+        group_inverse = lower_inverse(group_root)
+        reduced = group_inverse @ equations.group_shared
         rows = reduced.reshape(reduced.shape[0] * reduced.shape[1], reduced.shape[2])
         schur = equations.shared_shared - rows.T @ rows
         # Jacobi scaling first: pixels, radians and lens coefficients differ by many orders of magnitude
@@ -220,7 +217,7 @@ def factorise(equations: NormalEquations) -> Factors:
         root = np.linalg.cholesky(schur / np.outer(scale, scale)) * scale[:, None]
     except np.linalg.LinAlgError as error:
         raise SingularError(str(error)) from error
-    return Factors(group_root, reduced, root, equations)
+    return Factors(group_root, group_inverse, reduced, root, equations)
 
 
 def lowest_along(promised: float, share: float, change: float) -> float:
@@ -233,21 +230,22 @@ def lowest_along(promised: float, share: float, change: float) -> float:
     return promised * share**2 / rise if rise > 0 else share
 
 
-def lower_solve(root: Array, right: Array) -> Array:
-    """Return root⁻¹ · right for many small lower triangles (G, g, g), by substitution over the g rows."""
-    result = np.empty_like(right, dtype=float)
-    for i in range(root.shape[-1]):
-        known = root[:, i, None, :i] @ result[:, :i]
-        result[:, i] = (right[:, i] - known[:, 0]) / root[:, i, i, None]
-    return result
-
-
-def upper_solve(root: Array, right: Array) -> Array:
-    """Return root⁻ᵀ · right for many small lower triangles (G, g, g)."""
-    result = np.empty_like(right, dtype=float)
-    for i in reversed(range(root.shape[-1])):
-        known = root[:, i + 1 :, i][:, None, :] @ result[:, i + 1 :]
-        result[:, i] = (right[:, i] - known[:, 0]) / root[:, i, i, None]
+def lower_inverse(root: Array) -> Array:
+    """Return the inverses of many lower triangles (G, g, g), by halves: products of matrices, as substitution row by
+    row is one small step after the other.
+    """
+    size = root.shape[-1]
+    result = np.zeros(root.shape)
+    if size > _SUBSTITUTED:
+        half = size // 2
+        result[:, :half, :half] = first = lower_inverse(root[:, :half, :half])
+        result[:, half:, half:] = last = lower_inverse(root[:, half:, half:])
+        result[:, half:, :half] = -last @ (root[:, half:, :half] @ first)
+        return result
+    for row in range(size):
+        result[:, row, row] = 1.0
+        result[:, row] -= (root[:, row, None, :row] @ result[:, :row])[:, 0]
+        result[:, row] /= root[:, row, row, None]
     return result
 
 

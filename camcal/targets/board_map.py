@@ -111,7 +111,10 @@ def map_of(points: Array, pixels: Array, size: tuple[int, int], *, rough: bool =
     straight = radial.straight(pixels)
     homography = homography_of(points, straight)
     middle, scale = points.mean(axis=0), float(np.ptp(points, axis=0).max()) / 2
-    degree = _degree(points)
+    # as high as points on the lines of a grid determine well
+    lines, degree = min(len(np.unique(np.rint(1e6 * axis / np.ptp(axis)))) for axis in points.T), 0
+    while degree < min(_DEGREE, lines - 2) and _POINTS_PER_TERM * (degree + 2) * (degree + 3) // 2 <= len(points):
+        degree += 1
     moved = apply_homography(np.linalg.inv(homography), straight) - points
     terms = polynomial_terms((points - middle) / scale, degree)
     return BoardMap(np.linalg.lstsq(terms, moved, rcond=None)[0], degree, middle, scale, homography, radial)
@@ -127,11 +130,11 @@ def _radial(points: Array, pixels: Array, size: tuple[int, int]) -> Radial:
         return best
     place, off = np.zeros(5), _residuals(points, pixels, best)
     for _ in range(_ROUNDS):
-        nearby = [_moved(best, step) for step in _STEP * np.eye(5)]
+        nearby = [_move(best, step) for step in _STEP * np.eye(5)]
         slopes = np.stack([(_residuals(points, pixels, other) - off) / _STEP for other in nearby], axis=1)
         design, wanted = np.concatenate([slopes, np.diag(_HELD)]), np.concatenate([off, _HELD * place])
         step = -np.linalg.lstsq(design, wanted, rcond=None)[0]
-        trial = _moved(best, step)
+        trial = _move(best, step)
         trial_off = _residuals(points, pixels, trial)
         if not (trial_off**2).sum() < _REQUIRED_DECREASE * (off**2).sum():
             break
@@ -144,7 +147,7 @@ def _undistorted(size: tuple[int, int]) -> Radial:
     return Radial((np.array(size) - 1) / 2, float(np.hypot(*size)) / 2, np.zeros(3))
 
 
-def _moved(radial: Radial, step: Array) -> Radial:
+def _move(radial: Radial, step: Array) -> Radial:
     """Return a distortion with other terms and another middle; step: (5,), of the middle in units of the scale."""
     return replace(radial, terms=radial.terms + step[:3], middle=radial.middle + radial.scale * step[3:])
 
@@ -152,15 +155,6 @@ def _moved(radial: Radial, step: Array) -> Radial:
 def _residuals(points: Array, pixels: Array, radial: Radial) -> Array:
     straight = radial.straight(pixels)
     return np.asarray((straight - apply_homography(homography_of(points, straight), points)).ravel())
-
-
-def _degree(points: Array) -> int:
-    """Return the degree of the polynomial that points (N, 2) on lines of a grid determine well."""
-    lines = min(len(np.unique(np.rint(1e6 * axis / np.ptp(axis)))) for axis in points.T)
-    degree = 0
-    while degree < min(_DEGREE, lines - 2) and _POINTS_PER_TERM * (degree + 2) * (degree + 3) // 2 <= len(points):
-        degree += 1
-    return degree
 
 
 def polynomial_terms(points: Array, degree: int) -> Array:

@@ -245,10 +245,10 @@ def aprilgrid_fields(tag: float | None, spacing: float) -> Fields:
 def spacing_of(square: float | None, marker: float) -> float:
     """Return the spacing of `aprilgrid_fields`, as the shortest number that gives the square again if there is one."""
     tag = None if square is None else marker
-    known = {"square": square, "marker": marker}
+    wanted = {"square": square, "marker": marker}
     ratio = (1.0 if square is None else square) / marker - 1
     rounded = (float(f"{ratio:.{digits}g}") for digits in range(1, _DIGITS))
-    return next((short for short in rounded if aprilgrid_fields(tag, short) == known), ratio)
+    return next((short for short in rounded if aprilgrid_fields(tag, short) == wanted), ratio)
 
 
 def _circles(text: str, parts: list[str]) -> Fields:

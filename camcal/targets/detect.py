@@ -36,22 +36,22 @@ def _found(gray: Array, board: Board, seed: int, samples: MaskedImage | None, *,
         return BoardDetection.nothing(f"an image of {gray.shape[1]} x {gray.shape[0]} pixels is too small for a board")
     with opencv.repeatable(seed):  # each detector is imported when it is needed
         if board.type == APRILGRID:
-            from camcal.targets.aprilgrid.aprilgrid import find_aprilgrid
+            from camcal.targets.aprilgrid import find_aprilgrid
 
             return find_aprilgrid(gray, board, samples)
         if board.type in (CIRCLES, ASYMMETRIC_CIRCLES):
-            from camcal.targets.circles.circles import find_circles
+            from camcal.targets.circles import find_circles
 
             return find_circles(gray, board)
         if board.type == CHARUCO:
             from camcal.targets.checker.charuco import find_charuco
 
-            found = find_charuco(gray, board)
+            detection = find_charuco(gray, board)
         else:
             from camcal.targets.checker.chessboard import find_chessboard
 
-            found = find_chessboard(gray, board, partial=partial or board.dots)
-    return measure(samples or MaskedImage(gray), board, found)
+            detection = find_chessboard(gray, board, partial=partial or board.dots)
+    return measure(samples or MaskedImage(gray), board, detection)
 
 
 def require_findable(board: Board, *, partial: bool = False) -> None:
@@ -63,7 +63,7 @@ def require_findable(board: Board, *, partial: bool = False) -> None:
 
         require_markers(board)
     elif board.type == APRILGRID:
-        from camcal.targets.markers.families import family_named
+        from camcal.targets.pattern import family_named
 
         family_named(board.dictionary or "").require(board.first_marker, board.columns * board.rows)
     elif board.type == CHESSBOARD and min(board.columns, board.rows) < LEAST_SIDE:

@@ -7,7 +7,8 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.cameras.catalogue import model_named
-from camcal.cameras.model import FISHEYE, Camera
+from camcal.cameras.lens import FISHEYE
+from camcal.cameras.model import Camera
 from camcal.errors import InvalidInput
 from camcal.formats import cameras
 from camcal.formats.camera_file import CalibrationVerdict, CameraEntry, CameraFile

@@ -20,7 +20,7 @@ from camcal.errors import InvalidInput
 from camcal.formats import cameras, native
 from camcal.formats.boards import load_board
 from camcal.formats.camera_file import CameraEntry, CameraFile, ValidRegion
-from camcal.images.load import load
+from camcal.images.files import load
 from camcal.images.options import ViewOptions
 from camcal.images.remap import build_maps
 from camcal.images.views import make_view
@@ -36,13 +36,14 @@ from camcal.stereo.rectify.record import Rectification
 from camcal.targets.board import Board
 from camcal.targets.detection import BoardDetection, Detections
 from camcal.tasks.calibration.board_views import BoardViews
-from camcal.tasks.calibration.calibrate import CalibrateReport, calibrated, seen_of
+from camcal.tasks.calibration.calibrate import calibrated, seen_of
+from camcal.tasks.calibration.camera_result import CalibrateReport
 from camcal.tasks.calibration.detect import detect_images
 from camcal.tasks.calibration.options import CalibrateOptions, DetectOptions
-from camcal.tasks.rigs.calibrate_rig import RigReport
 from camcal.tasks.rigs.calibrate_rig import calibrated as calibrated_rig
 from camcal.tasks.rigs.matching import Matched
 from camcal.tasks.rigs.options import RigSettings
+from camcal.tasks.rigs.rig_result import RigReport
 from camcal.tasks.rigs.rig_views import RigViews, captured, rig_views
 from camcal.tasks.stereo.rig_pair import read_rig
 

@@ -40,7 +40,7 @@ PAGE = Written((".html",))
 
 def image_suffixes() -> tuple[str, ...]:
     """Return the suffixes of images that are written: only the core knows them."""
-    from camcal.images.save import KINDS
+    from camcal.images.files import KINDS
 
     return tuple(KINDS)
 

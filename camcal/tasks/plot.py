@@ -19,7 +19,7 @@ from camcal.errors import FileError, InsufficientData, InvalidInput
 from camcal.formats import cameras, detections, disparity, poses, trajectories
 from camcal.formats import series as series_files
 from camcal.formats.documents import Document, load_either
-from camcal.formats.poses import plain as plain_poses
+from camcal.formats.poses import record as plain_poses
 from camcal.formats.schema import flag, integer, items, mapping, number, text, unchecked
 from camcal.formats.tables import read_measurements
 from camcal.formats.trajectories import native as native_trajectories
@@ -28,11 +28,11 @@ from camcal.parsing import did_you_mean
 from camcal.progress import SILENT, Progress
 from camcal.quality.projection_uncertainty import ProjectionUncertainty
 from camcal.report.figures.calibration import ranked_views, residuals_by_view
-from camcal.report.figures.camera_files import camera_file_plots, detection_plots, pose_plots
 from camcal.report.figures.disparity_errors import disparity_map
 from camcal.report.figures.figure import THEMES, Plot, encoded, of_part
 from camcal.report.figures.image_plane import projection_uncertainty
 from camcal.report.figures.over_time import Panel, over_time
+from camcal.report.figures.rig import camera_file_plots, detection_plots, pose_plots
 from camcal.report.figures.trajectories import path_of, trajectory_plots
 from camcal.run.outputs import writes
 from camcal.run.paths import find_files

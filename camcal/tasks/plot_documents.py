@@ -6,9 +6,15 @@ from camcal.errors import InvalidInput
 from camcal.formats.documents import Check, Document
 from camcal.formats.schema import FINITE, flag, items, mapping, number, text, unchecked
 from camcal.report.figures.calibration import matrix_plot
-from camcal.report.figures.curves import parameter_errors
+from camcal.report.figures.curves import (
+    PHASES,
+    PhotonTransfer,
+    TransferCurve,
+    parameter_errors,
+    photon_transfer,
+    signal_to_noise,
+)
 from camcal.report.figures.figure import Plot
-from camcal.report.figures.sensor import PHASES, PhotonTransfer, TransferCurve, photon_transfer, signal_to_noise
 
 SENSOR, FIT = "camcal-sensor", "camcal-fit"
 

@@ -12,7 +12,7 @@ from camcal.calibrate.between_views import BetweenViews
 from camcal.calibrate.fit import ShapeOptions
 from camcal.calibrate.intrinsics import Options, calibrate
 from camcal.calibrate.single_views import ViewOffsets
-from camcal.targets.surface import normalised
+from camcal.targets.board import normalised
 
 COUNT = 16
 NOISE = 0.05

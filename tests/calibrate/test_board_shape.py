@@ -8,9 +8,8 @@ from camcal.calibrate.fit import ShapeOptions
 from camcal.calibrate.intrinsics import Options, calibrate
 from camcal.simulate import render
 from camcal.simulate.scene import project_all
-from camcal.targets.board import Board
+from camcal.targets.board import CLASSES, Board, basis
 from camcal.targets.detection import BoardDetection
-from camcal.targets.surface import CLASSES, basis
 
 BOARD = Board("chessboard", 14, 9, 0.030)
 

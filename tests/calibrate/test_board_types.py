@@ -11,9 +11,8 @@ from camcal.calibrate.initialise import opposed_views
 from camcal.calibrate.intrinsics import Options, calibrate
 from camcal.calibrate.refusals import reason_unusable
 from camcal.simulate import render
-from camcal.targets.board import parse_board
+from camcal.targets.board import TIERS, basis, parse_board
 from camcal.targets.detection import BoardDetection
-from camcal.targets.surface import TIERS, basis
 
 BOARDS = {
     "aprilgrid": "aprilgrid:6x4:45mm:0.3",

@@ -11,8 +11,7 @@ from camcal.calibrate.problem import BoardProblem, State
 from camcal.cameras.observations import Observations
 from camcal.solve.least_squares import assemble
 from camcal.solve.steps import Step
-from camcal.targets.board import Board
-from camcal.targets.surface import basis
+from camcal.targets.board import Board, basis
 
 NAMES = tuple(effect.name for effect in EFFECTS)
 OUT_OF_PLANE = ("xy", "P2(x)", "P2(y)", "P3(x)", "P2(x)y", "xP2(y)", "P3(y)")

@@ -111,7 +111,7 @@ def test_steps_that_overshoot_are_shortened_and_the_passes_settle(printed):
 
 def test_a_corner_that_leaves_the_image_makes_a_step_too_long(printed):
     problem, state = started(*printed)
-    passes = estimator._Passes(problem, state, AdditionalParameters(smooth=False, points=False), None)
+    passes = estimator._Passes(problem, state, AdditionalParameters(smooth=False, points=False), None, brief=False)
     behind = replace(passes.place.derivatives, valid=passes.place.derivatives.valid & False)
     assert np.isfinite(passes._cost(passes.place, np.zeros((12, 0))))
     assert passes._cost(replace(passes.place, derivatives=behind), np.zeros((12, 0))) == np.inf

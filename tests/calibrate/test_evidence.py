@@ -12,13 +12,12 @@ from camcal.calibrate.alternation import AdditionalParameters
 from camcal.calibrate.effects import SMOOTH
 from camcal.calibrate.estimator import estimate
 from camcal.calibrate.evidence import evidence_of_effects
-from camcal.calibrate.fit import ShapeOptions, fit, fit_plain
+from camcal.calibrate.fit import ShapeOptions, fit, fit_briefly, fit_plain
 from camcal.calibrate.intrinsics import Options, calibrate
 from camcal.calibrate.problem import BoardProblem, State
 from camcal.cameras.observations import Observations
 from camcal.geometry import rotation as so3
-from camcal.targets.board import Board
-from camcal.targets.surface import normalised
+from camcal.targets.board import Board, normalised
 
 
 def plain(scene, views):
@@ -94,8 +93,8 @@ def solved(scene, views, shape=None):
     held = np.full(count, np.nan)
     shape = shape or ShapeOptions(smooth=False)
     seen, size = Observations.of(views), (1600, 1200)
-    plain, turns = fit_plain(scene.camera.model, scene.board, seen, size, held, None, shape)
-    return fit(plain, turns, size)
+    brief = fit_briefly(scene.camera.model, scene.board, seen, size, held, None, shape)
+    return fit(*fit_plain(*brief, shape), size)
 
 
 def test_views_and_priors_are_what_the_last_linear_solve_knows():

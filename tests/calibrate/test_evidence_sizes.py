@@ -10,13 +10,12 @@ from camcal.calibrate import evidence
 from camcal.calibrate.alternation import AdditionalParameters
 from camcal.calibrate.effects import EFFECTS, FLEX, FLEX_TERMS, ROLLING, SMOOTH, EffectScales
 from camcal.calibrate.evidence import Evidence, evidence_of_effects, within_views
-from camcal.calibrate.fit import ShapeOptions, fit, fit_plain
+from camcal.calibrate.fit import ShapeOptions, fit, fit_briefly, fit_plain
 from camcal.calibrate.noise import ViewNoise
 from camcal.calibrate.problem import BoardProblem, State
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.observations import Observations
-from camcal.targets.board import Board
-from camcal.targets.surface import basis
+from camcal.targets.board import Board, basis
 
 BOARD = Board("chessboard", 6, 5, 0.040)
 NAMES = tuple(effect.name for effect in EFFECTS)
@@ -90,8 +89,9 @@ def test_a_lens_that_is_held_asks_for_no_evidence():
     away = np.random.default_rng(4).normal(size=(2, *present.shape)).cumsum(axis=2)
     observations = replace(problem.observations, pixels=problem.observations.pixels + 0.3 * away)
     shape = ShapeOptions(smooth=False, offsets=False)
-    plain, turns = fit_plain(problem.model, BOARD, observations, (1600, HEIGHT), state.parameters, None, shape)
-    found = fit(plain, turns, (1600, HEIGHT))
+    size = 1600, HEIGHT
+    brief = fit_briefly(problem.model, BOARD, observations, size, state.parameters, None, shape)
+    found = fit(*fit_plain(*brief, shape), size)
     assert len(found.estimates) == 1
     assert (found.errors.share, found.errors.rolling_px, found.errors.flex) == (0.0, None, None)
 

@@ -14,7 +14,7 @@ from scipy.optimize import least_squares
 from scipy.stats import multivariate_t
 
 from camcal.calibrate import jackknife
-from camcal.calibrate.fit import ShapeOptions, fit_plain
+from camcal.calibrate.fit import ShapeOptions, fit_briefly
 from camcal.calibrate.influence import influence
 from camcal.calibrate.intrinsics import CandidateModel, Options, calibrate, compare_models
 from camcal.calibrate.jackknife import predict_views
@@ -62,7 +62,7 @@ def choice(views, scene, shape=FLAT):
 def plain_estimate(name, views, board):
     observations, model = Observations.of(views), model_named(name)
     free = np.full(len(model.parameter_names), np.nan)
-    plain, _ = fit_plain(model, board, observations, SIZE, free, None, FLAT, brief=True)
+    plain, _ = fit_briefly(model, board, observations, SIZE, free, None, FLAT)
     return plain, observations.weights > 0
 
 
@@ -399,11 +399,11 @@ def test_the_next_best_model_is_used_where_the_first_one_does_not_settle(monkeyp
     scene, views = lens("kannala_brandt4", 8)
     real, tried = model_selection.intrinsics.calibrate, []
 
-    def failing(detections, board, options):
+    def failing(detections, board, options, start):
         tried.append(options.model.name)
         if len(tried) == 1:
             raise NotConverged("it did not settle")
-        return real(detections, board, options)
+        return real(detections, board, options, start)
 
     monkeypatch.setattr(model_selection.intrinsics, "calibrate", failing)
     found = select(views, scene.board, OPTIONS)
@@ -420,7 +420,7 @@ def test_the_failure_of_every_model_is_that_of_the_first(monkeypatch):
     with pytest.raises(InsufficientData, match="view"):
         select(views[:2], scene.board, OPTIONS)
 
-    def failing(detections, board, options):
+    def failing(detections, board, options, start):
         raise NotConverged(f"{options.model.name} did not settle")
 
     monkeypatch.setattr(model_selection.intrinsics, "calibrate", failing)

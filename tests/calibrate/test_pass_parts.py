@@ -33,7 +33,7 @@ def passes_of(scene, additional=BARE, noise=0.1, claimed=None, start=None, views
     """The passes before the first one, from the truth."""
     observations = replace(Observations.of(views or scene.observe(1, noise_px=noise)), covariance=claimed)
     problem = BoardProblem(scene.camera.model, scene.board, observations, np.arange(4))
-    return estimator._Passes(problem, true_state(scene), additional, start)
+    return estimator._Passes(problem, true_state(scene), additional, start, brief=False)
 
 
 def test_the_cost_of_a_place_is_that_of_corners_priors_and_effects():
@@ -106,7 +106,7 @@ def to_and_fro(monkeypatch, moves, *, offsets=None):
     return passes, returned
 
 
-@pytest.mark.parametrize(("degrees", "share"), [(180, 0.7), (122, 0.7), (118, 1.0), (0, 1.0)])
+@pytest.mark.parametrize(("degrees", "share"), [(180, 0.7), (122, 0.7), (118, 1.0), (27, 1.0)])
 @pytest.mark.parametrize("length", [0.1, 4.0])
 def test_a_pass_that_takes_back_what_the_one_before_did_shortens_the_way_from_then_on(
     monkeypatch, degrees, share, length
@@ -119,6 +119,42 @@ def test_a_pass_that_takes_back_what_the_one_before_did_shortens_the_way_from_th
     # the first one has yet to learn how large everything is
     assert to_and_fro(monkeypatch, [first, -first])[0].share == 1.0
     np.testing.assert_allclose([own[2] for own in returned[1:]], [1.0, np.abs(second).max()], rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("degrees", "first", "second", "share"),
+    [
+        (0, 0.2, 0.1, 2.0),  # 0.1 + 0.05 + 0.025 …: twice as far
+        (0, 0.2, 0.14, 1 / 0.3),
+        (0, 0.2, 0.16, 4.0),  # five times as far would be too much
+        (0, 0.2, 0.29, 4.0),  # a series that grows
+        (0, 0.6, 0.31, 1.0),  # not calm yet
+        (25, 0.2, 0.1, 1 / (1 - 0.5 * np.cos(np.radians(25)))),
+        (27, 0.2, 0.1, 1.0),
+    ],
+)
+def test_passes_that_go_on_in_one_direction_are_summed_up(monkeypatch, degrees, first, second, share):
+    turn = np.radians(degrees)
+    ways = first * np.array([1.0, 0, 0, 0]), second * np.array([np.cos(turn), 0, np.sin(turn), 0])
+    passes, _ = to_and_fro(monkeypatch, [np.zeros(4), *ways])
+    assert passes.share == pytest.approx(share)
+    assert passes.damped == 1.0
+
+
+def test_leaps_become_fewer_where_they_do_not_get_on(monkeypatch):
+    way = np.array([0.1, 0.0, 0.0, 0.0])
+    start = [np.zeros(4), 2 * way, way, way, way]
+    assert to_and_fro(monkeypatch, [*start, 0.8 * way, 0.71 * way])[0].share == 1.0
+    assert to_and_fro(monkeypatch, [*start, 0.8 * way, 0.69 * way])[0].share == 4.0
+
+
+def test_a_leap_and_the_pass_after_it_say_nothing_of_the_next(monkeypatch):
+    way = np.array([0.1, 0.0, 0.0, 0.0])
+    start = [np.zeros(4), 2 * way, way]
+    back = [-way, way, -way, way]
+    for count, share in ((1, 1.0), (2, 1.0), (3, 1.0), (4, 0.7)):
+        assert to_and_fro(monkeypatch, [*start, *back[:count]])[0].share == pytest.approx(share)
+    assert to_and_fro(monkeypatch, [*start, *[0.5 * way] * 4])[0].share == pytest.approx(4.0)
 
 
 def test_the_way_is_never_shorter_than_three_tenths(monkeypatch):
@@ -153,7 +189,7 @@ def test_passes_begin_with_poses_paid_for_and_points_of_small_boards_together():
         passes = passes_of(scene, AdditionalParameters(smooth=True, points=True))
         assert passes.problem.offsets == together
         np.testing.assert_array_equal(passes.spent, [6.0] * 3)
-        np.testing.assert_array_equal(passes.moved, np.zeros(4))
+        assert (passes.share, passes.damped) == (1.0, 1.0)
     assert not passes_of(scene_of(), BARE).problem.offsets
     assert not passes_of(scene_of(), AdditionalParameters(smooth=True, points=False)).problem.offsets
 

@@ -12,10 +12,9 @@ from camcal.calibrate.alternation import AdditionalParameters
 from camcal.calibrate.effects import Posterior
 from camcal.calibrate.noise import corner_weights, view_noise
 from camcal.calibrate.problem import BoardProblem
-from camcal.calibrate.shape import first_scales
+from camcal.calibrate.shape import Scale, first_scales
 from camcal.cameras.observations import Observations
-from camcal.targets.board import Board
-from camcal.targets.surface import TERMS
+from camcal.targets.board import TERMS, Board
 
 VIEWS = 6
 BARE = AdditionalParameters(smooth=False, points=False)
@@ -29,7 +28,7 @@ def passes_of(scene, additional=BARE, noise=0.1, claimed=None, **how):
     """The passes before the first one, from the truth."""
     observations = replace(Observations.of(scene.observe(1, noise_px=noise)), covariance=claimed)
     problem = BoardProblem(scene.camera.model, scene.board, observations, np.arange(4), **how)
-    return estimator._Passes(problem, true_state(scene), additional, None)
+    return estimator._Passes(problem, true_state(scene), additional, None, brief=False)
 
 
 # The end of the passes
@@ -60,9 +59,9 @@ def run(monkeypatch, moves, *, brief=False, fresh=True, points=False, count=99, 
     passes.problem = Points(SimpleNamespace(count=count), together)
     passes.place = SimpleNamespace(state=None, coefficients=None)
     passes.noise = passes.corners = passes.board = passes.linearised = None
-    passes.on_points = spent
+    passes.on_points, passes.brief = spent, brief
     passes.effect_scales = "their scales"
-    return passes.run(brief=brief), seen
+    return passes.run(), seen
 
 
 def falling(rate, first=1.0, count=200):
@@ -112,7 +111,8 @@ def first_together(seen):
         ([1.0, 0.9, 0.51, *[0.0] * 9], 3),  # the third hardly gets on; of the first two it is not asked
         ([1.0, 0.9, 0.4, 0.19, *[0.0] * 9], 5),
         ([0.08, 0.08, 0.055, *[0.0] * 9], 3),
-        ([0.08, 0.08, 0.045, 0.02, *[0.0] * 9], 5),  # a creep that small may settle
+        ([0.018, 0.018, 0.0105, *[0.0] * 9], 3),
+        ([0.018, 0.018, 0.0095, 0.004, *[0.0] * 9], 4),  # a creep that small may settle
     ],
 )
 def test_points_are_solved_for_together_where_turns_hardly_get_on_or_have_settled(monkeypatch, moves, free_from):
@@ -121,13 +121,20 @@ def test_points_are_solved_for_together_where_turns_hardly_get_on_or_have_settle
     assert found.problem.offsets
 
 
-def test_points_of_large_boards_and_of_brief_estimates_are_not_solved_for_together(monkeypatch):
+def test_points_of_large_boards_are_not_solved_for_together(monkeypatch):
     assert first_together(run(monkeypatch, falling(0.5), points=True, count=401)[1]) is None
     assert first_together(run(monkeypatch, falling(0.5), points=True, count=400)[1]) == 8
-    assert first_together(run(monkeypatch, falling(0.5), points=True, brief=True)[1]) is None
+    assert first_together(run(monkeypatch, falling(0.5), points=True, count=61, brief=True)[1]) is None
+    assert first_together(run(monkeypatch, falling(0.9), points=True, count=61, brief=True)[1]) is None
     assert first_together(run(monkeypatch, falling(0.5))[1]) is None
-    # nor do they make a brief estimate any shorter
-    assert first_together(run(monkeypatch, falling(0.9), points=True, brief=True)[1]) == 3
+
+
+@pytest.mark.parametrize(("rate", "passes"), [(0.5, 8), (0.9, 10)])
+def test_a_brief_estimate_has_the_points_of_a_small_board_together_in_a_last_pass(monkeypatch, rate, passes):
+    found, seen = run(monkeypatch, falling(rate), points=True, count=60, brief=True)
+    assert found.passes == len(seen) == passes + 1
+    assert first_together(seen) == passes
+    assert first_together(run(monkeypatch, falling(rate), points=True, count=60, spent=0.9, brief=True)[1]) is None
 
 
 def test_points_that_hardly_move_are_not_solved_for_together(monkeypatch):
@@ -146,13 +153,16 @@ def test_scales_of_effects_are_told_where_there_are_effects(monkeypatch):
 
 
 def test_estimates_are_brief_if_asked_for(monkeypatch):
-    monkeypatch.setattr(estimator._Passes, "__init__", lambda self, *start: None)
-    monkeypatch.setattr(estimator._Passes, "run", lambda self, *, brief: brief)
+    monkeypatch.setattr(estimator._Passes, "__init__", lambda self, *start, brief: setattr(self, "brief", brief))
+    monkeypatch.setattr(estimator._Passes, "run", lambda self: self.brief)
     assert estimator.estimate(None, None, None, BARE) is False
     assert estimator.estimate(None, None, None, BARE, brief=True) is True
 
 
 # A pass
+
+
+OF_DATA = Scale(1e-3, 1e-3, 1e-4, 0.9)
 
 
 def parts(monkeypatch, additional=BARE, *, first=False, at_once=False):
@@ -172,7 +182,7 @@ def parts(monkeypatch, additional=BARE, *, first=False, at_once=False):
             estimator._Passes, name, lambda self, own=name, end=result, **how: (told.append(own), end)[1]
         )
     monkeypatch.setattr(estimator, "posterior", lambda factors: left)
-    monkeypatch.setattr(estimator, "board_scales", lambda *what: {"bow": "of the data"})
+    monkeypatch.setattr(estimator, "board_scales", lambda *what: {"bow": OF_DATA})
     monkeypatch.setattr(estimator, "spent_on_offsets", lambda *what: together)
     passes._pass(first=first)
     return passes, told
@@ -199,7 +209,7 @@ def test_points_are_solved_for_apart_but_in_the_first_pass_and_where_they_are_to
     np.testing.assert_allclose(
         passes.spent, np.full(VIEWS, 7.0) if offsets is None else 7.0 + offsets + np.arange(VIEWS)
     )
-    assert passes.board["bow"] == "of the data"
+    assert passes.board["bow"] == OF_DATA
     assert passes.board["cubic"] == first_scales()["cubic"]
 
 

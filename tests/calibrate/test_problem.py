@@ -11,7 +11,7 @@ from camcal.cameras.catalogue import MODELS
 from camcal.cameras.observations import Observations
 from camcal.solve.least_squares import assemble
 from camcal.solve.steps import Step
-from camcal.targets.surface import TERMS
+from camcal.targets.board import TERMS
 
 
 def state_of(scene, terms, rng):

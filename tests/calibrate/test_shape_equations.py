@@ -23,8 +23,7 @@ from camcal.calibrate.shape import (
 )
 from camcal.cameras.observations import Observations
 from camcal.solve.steps import factorise
-from camcal.targets.board import Board
-from camcal.targets.surface import CLASSES, CORNER_CLASSES, IN_PLANE, OUT_OF_PLANE, RATIOS, TERMS
+from camcal.targets.board import CLASSES, CORNER_CLASSES, IN_PLANE, OUT_OF_PLANE, RATIOS, TERMS, Board
 
 BOARD = Board("chessboard", 6, 4, 0.040)
 SIDE = 0.2  # its longer one, m

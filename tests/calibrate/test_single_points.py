@@ -10,8 +10,7 @@ from scipy.linalg import block_diag
 from camcal.calibrate.problem import BoardProblem
 from camcal.calibrate.shape import PointEquations, point_equations, scale_of
 from camcal.cameras.observations import Observations
-from camcal.targets.board import Board
-from camcal.targets.surface import CORNER_CLASSES, IN_PLANE, OUT_OF_PLANE
+from camcal.targets.board import CORNER_CLASSES, IN_PLANE, OUT_OF_PLANE, Board
 
 BOARD = Board("chessboard", 4, 3, 0.040)
 VIEWS, SIGMA = 5, 0.3

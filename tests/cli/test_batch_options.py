@@ -11,7 +11,7 @@ from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.formats import native
 from camcal.formats.camera_file import CameraEntry, CameraFile
-from camcal.images.save import save
+from camcal.images.files import save
 
 LENS = Camera(model_named("opencv5"), (200, 160), np.array([150.0, 151, 101, 79, -0.25, 0.06, 0, 0, 0]))
 BATCHES = (

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from camcal.formats import native
-from camcal.images.load import load
-from camcal.images.save import save
+from camcal.images.files import load, save
 from camcal.raw.demosaic import demosaic
 from camcal.tasks.simulation.options import RawOptions, SimulateOptions
 from camcal.tasks.simulation.simulate import simulate

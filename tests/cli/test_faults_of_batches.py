@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 import pytest
 
-from camcal.images.save import save
+from camcal.images.files import save
 from camcal.progress import SILENT, Silent
 from camcal.run import cluster
 from camcal.run.options import BatchOptions

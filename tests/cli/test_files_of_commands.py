@@ -16,9 +16,9 @@ from camcal.cli.main import COMMANDS, app
 from camcal.errors import InvalidInput
 from camcal.formats import disparity, disparity_sidecar
 from camcal.formats.disparity_sidecar import Sidecar
-from camcal.images.save import save
+from camcal.images.files import save
 from camcal.options import GENERAL, OUTPUT, PATH
-from camcal.run.option_paths import inputs_of
+from camcal.run.options import inputs_of
 from camcal.stereo.geometry import StereoGeometry
 
 MINE = b"mine\n"

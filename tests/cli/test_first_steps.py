@@ -11,7 +11,7 @@ from camcal.cli.examples import EXAMPLES
 from camcal.cli.main import COMMANDS
 from camcal.formats import detections, native
 from camcal.formats.camera_file import CameraEntry, CameraFile
-from camcal.images.save import save
+from camcal.images.files import save
 from camcal.simulate.scene import observe, views
 from camcal.targets.board import Board
 

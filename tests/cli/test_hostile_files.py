@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from camcal.images.save import save
+from camcal.images.files import save
 from camcal.progress import Silent
 from camcal.tasks.calibration.undistort import undistort
 from camcal.tasks.calibration.undistort_options import UndistortOptions

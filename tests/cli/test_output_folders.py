@@ -6,12 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from camcal import folders, system
+from camcal import system
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.formats import native
 from camcal.formats.camera_file import CameraEntry, CameraFile
-from camcal.images.save import save
+from camcal.images.files import save
 
 LENS = Camera(model_named("opencv5"), (24, 16), np.array([20.0, 20, 12, 8, -0.1, 0, 0, 0, 0]))
 PIPELINE = """\
@@ -27,8 +27,8 @@ steps:
 HOLD = """
 import sys
 from pathlib import Path
-from camcal.run.outputs import watching
-with watching() as run:
+from camcal.run.outputs import watch_files
+with watch_files() as run:
     run.folders.hold(Path("out"), "--output")
     print("held", flush=True)
     sys.stdin.read()
@@ -62,7 +62,7 @@ def test_the_later_of_two_runs_into_one_folder_is_refused_until_the_first_one_en
     command = ("undistort", "lens.yaml", "photos", "-o", "out")
     refusal = "out: another run writes into this folder; wait until it has ended, or give another --output"
     assert run(*command) == (3, "", f"camcal: error: {refusal}\n")
-    assert names(Path("out")) == [folders.HELD]
+    assert names(Path("out")) == [system.HELD]
     assert run(*command[:-1], "other")[0] == 0
     other_run.communicate(timeout=60)
     assert run(*command)[0] == 0
@@ -78,9 +78,9 @@ def test_files_that_are_named_go_into_a_folder_in_which_another_run_works(run, o
 def test_a_killed_run_keeps_nobody_from_its_folder(run, other_run):
     other_run.kill()
     other_run.wait()
-    assert names(Path("out")) == [folders.HELD]
+    assert names(Path("out")) == [system.HELD]
     assert run("undistort", "lens.yaml", "photos", "-o", "out")[0] == 0
-    assert folders.HELD not in names(Path("out"))
+    assert system.HELD not in names(Path("out"))
 
 
 @with_locks
@@ -90,7 +90,7 @@ def test_a_step_into_a_folder_in_which_another_run_works_fails_alone(run, other_
     assert code == 3
     assert "step straight[out] failed: out: another run writes into this folder" in err
     assert Path("other/out/a.png").is_file()
-    assert names(Path("out")) == [folders.HELD]
+    assert names(Path("out")) == [system.HELD]
 
 
 @pytest.mark.parametrize("jobs", [1, 2], ids=["one after the other", "at once"])

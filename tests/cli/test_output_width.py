@@ -16,7 +16,7 @@ from camcal.cli.main import COMMANDS
 from camcal.formats import detections, disparity, native
 from camcal.formats.camera_file import CalibrationVerdict, CameraEntry, CameraFile, Transform
 from camcal.geometry.pose import Pose
-from camcal.images.save import save
+from camcal.images.files import save
 from camcal.report.table import cells, table_lines, wrapped
 from camcal.simulate.options import Sensor
 from camcal.simulate.scene import observe, views

@@ -11,10 +11,11 @@ import pytest
 from report_scenes import SCENES, camera_of, detections_of
 
 from camcal.errors import InsufficientData
-from camcal.formats import detections, native, page_data
+from camcal.formats import detections, native
 from camcal.formats.camera_file import CameraEntry, CameraFile
 from camcal.report.page.thumbnails import PHOTO, photograph
 from camcal.tasks.calibration.options import CalibrateOptions
+from camcal.tasks.reports import carried as carried_data
 from camcal.tasks.reports.carried import options_of, settings_of
 from camcal.tasks.reports.options import ReportOptions
 from camcal.tasks.reports.report import report
@@ -65,7 +66,7 @@ def changed(path, change):
     run = carried(page)
     change(run)
     start, end = re.search(r'id="camcal-run">(.*?)</script>', page, flags=re.DOTALL).span(1)
-    path.write_text(page[:start] + page_data.run_text(run) + page[end:], encoding="utf-8")
+    path.write_text(page[:start] + carried_data.run_text(run) + page[end:], encoding="utf-8")
 
 
 def test_detections_without_a_calibration_get_a_report_that_says_why(refusal):
@@ -269,7 +270,7 @@ def test_damage_is_said_in_one_line_and_nothing_is_written(run, refusal, kind, c
 
 
 def test_detections_that_unpack_to_more_than_the_limit_are_refused(run, refusal, monkeypatch):
-    monkeypatch.setattr(page_data, "_LARGEST_TABLE", 1000)
+    monkeypatch.setattr(carried_data, "_LARGEST_TABLE", 1000)
     code, _, said = run("rerun", refusal, "-o", "again")
     assert code == 3
     assert "more than 1000 bytes of detections" in said
@@ -284,6 +285,6 @@ def test_options_are_restored_as_they_were_given():
 def test_a_photograph_is_small_and_keeps_its_shape():
     uri = photograph(np.tile(np.arange(1280, dtype=np.uint8), (960, 1)))
     assert PHOTO.fullmatch(uri)
-    content = page_data.file_content(uri.partition(",")[2], "photo")
+    content = carried_data.file_content(uri.partition(",")[2], "photo")
     assert cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_GRAYSCALE).shape == (240, 320)
     assert len(uri) < 30_000

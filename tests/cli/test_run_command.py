@@ -12,10 +12,11 @@ from command_page import REGISTERED
 
 from camcal import urls
 from camcal.cli.call import ImageCall
-from camcal.cli.steps import StepCommands
+from camcal.cli.pipeline import StepCommands
 from camcal.options import declared
-from camcal.run.fingerprint import counts
-from camcal.tasks.pipelines.reading import KEYS, NOT_STEPS, OF_ALL_STEPS, STEP_KEYS
+from camcal.run.options import counts
+from camcal.tasks.pipelines.reading import KEYS, OF_ALL_STEPS, STEP_KEYS
+from camcal.tasks.pipelines.step import NOT_STEPS
 
 CAMERAS = Path(__file__).parents[2] / "sample_configs" / "cameras"
 

@@ -10,8 +10,7 @@ import pytest
 from camcal.formats import documents
 from camcal.formats.native_entry import SENSOR
 from camcal.formats.schema import mapping
-from camcal.images.load import load
-from camcal.images.save import save
+from camcal.images.files import load, save
 from camcal.raw.dng import write_dng
 from camcal.raw.mosaic import Capture, Mosaic
 from camcal.raw.pixel_formats import pack, pixel_format_named

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from camcal.formats import boards, cameras, detections, native, poses
-from camcal.images.load import load
+from camcal.images.files import load
 from camcal.targets.board import parse_board
 
 BOARD = "chessboard:7x5:25mm"

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from camcal.formats import native
-from camcal.images.load import load
+from camcal.images.files import load
 
 BOARD = "chessboard:7x5:25mm"
 SMALL = ("--size", "160x120", "--views", "2", "--jobs", "1", "--quiet")

@@ -9,7 +9,7 @@ import pytest
 
 from camcal.cli.main import app
 from camcal.formats import disparity, disparity_sidecar, native
-from camcal.images.load import load
+from camcal.images.files import load
 from camcal.stereo.geometry import of_pair
 
 SMALL = ("--stereo", "--size", "96x72", "--objects", "2", "--jobs", "1", "--quiet")

@@ -13,7 +13,7 @@ from camcal.formats import disparity as maps
 from camcal.formats import disparity_sidecar, native
 from camcal.formats.camera_file import CameraEntry, CameraFile, Transform
 from camcal.geometry.pose import Pose
-from camcal.images.load import load
+from camcal.images.files import load
 from camcal.run.outputs import listed
 from camcal.stereo.disparity import Confidence
 from camcal.stereo.geometry import StereoGeometry

@@ -11,8 +11,7 @@ from camcal.cameras.model import Camera
 from camcal.formats import cameras, native
 from camcal.formats.camera_file import CameraEntry, CameraFile, Transform
 from camcal.geometry.pose import Pose
-from camcal.images.load import load
-from camcal.images.save import save
+from camcal.images.files import load, save
 from camcal.stereo.geometry import of_pair
 
 SIZE = (160, 120)

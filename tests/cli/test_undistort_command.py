@@ -10,8 +10,7 @@ from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.formats import native
 from camcal.formats.camera_file import CameraEntry, CameraFile
-from camcal.images.load import load
-from camcal.images.save import save
+from camcal.images.files import load, save
 
 SETTINGS = Path(__file__).parents[2] / "sample_configs" / "undistort.yaml"
 SIZE = (120, 80)

@@ -11,9 +11,9 @@ from camcal.cameras.model import Camera
 from camcal.formats import disparity, native
 from camcal.formats.camera_file import CalibrationVerdict, CameraEntry, CameraFile, Transform
 from camcal.geometry.pose import Pose
-from camcal.images.save import save
+from camcal.images.files import save
 from camcal.quality.projection_uncertainty import KnownRegion
-from camcal.report.uncertain import region_words
+from camcal.report.table import region_words
 
 SIZE = (160, 120)
 LENS = Camera(model_named("pinhole"), SIZE, np.array([150.0, 150.0, 79.5, 59.5]))

@@ -15,7 +15,7 @@ from camcal.cameras.model import Camera
 from camcal.errors import FileError
 from camcal.formats import detections, native
 from camcal.formats.camera_file import CameraEntry, CameraFile
-from camcal.images.save import save
+from camcal.images.files import save
 from camcal.run import remote
 
 LENS = Camera(model_named("opencv5"), (120, 80), np.array([90.0, 91, 61, 39, -0.25, 0.06, 0, 0, 0]))

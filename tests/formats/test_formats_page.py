@@ -23,8 +23,7 @@ from camcal.formats.boards import BOARD_KEYS, SPACING, lengths
 from camcal.formats.cameras import FORMATS
 from camcal.formats.detections import COLUMNS, OPTIONAL
 from camcal.formats.native_entry import KEY_OF_CLASS, KEY_OF_TERM, PROJECTION_FIGURES
-from camcal.targets.board import parse_board
-from camcal.targets.surface import TIERS
+from camcal.targets.board import TIERS, parse_board
 
 PAGE = (Path(__file__).parents[2] / "docs" / "formats.md").read_text(encoding="utf-8")
 EXAMPLES = re.findall(r"^```(\w+ \w+)\n(.*?)^```$", PAGE, flags=re.MULTILINE | re.DOTALL)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from camcal.errors import InvalidInput
-from camcal.formats import boards, kalibr_target
+from camcal.formats import boards
 from camcal.targets.board import parse_board
 
 APRILGRID = """\
@@ -81,12 +81,12 @@ def test_what_is_wrong_is_said_with_its_line(tmp_path, content, message):
      "asymmetric_circles:6x7:20mm"],
 )  # fmt: skip
 def test_a_target_file_that_is_written_describes_the_same_board(tmp_path, form):
-    assert board_in(tmp_path, kalibr_target.text_of(parse_board(form))) == parse_board(form)
+    assert board_in(tmp_path, boards.kalibr_text(parse_board(form))) == parse_board(form)
 
 
 def test_the_first_tag_is_written_as_the_code_offset(tmp_path):
     board = replace(parse_board("aprilgrid:6x4:88mm:0.3"), first_marker=36)
-    assert board_in(tmp_path, kalibr_target.text_of(board)) == board
+    assert board_in(tmp_path, boards.kalibr_text(board)) == board
 
 
 @pytest.mark.parametrize(
@@ -100,7 +100,7 @@ def test_the_first_tag_is_written_as_the_code_offset(tmp_path):
 )
 def test_a_board_that_kalibr_does_not_know_is_refused(form, message):
     with pytest.raises(InvalidInput, match=message):
-        kalibr_target.data_of(parse_board(form))
+        boards.kalibr_data(parse_board(form))
 
 
 @pytest.mark.parametrize(
@@ -108,7 +108,7 @@ def test_a_board_that_kalibr_does_not_know_is_refused(form, message):
 )
 def test_a_target_that_is_written_is_read_as_the_same_board(tmp_path, form):
     board = parse_board(form)
-    assert board_in(tmp_path, kalibr_target.text_of(board)) == board
+    assert board_in(tmp_path, boards.kalibr_text(board)) == board
 
 
 @pytest.mark.parametrize(
@@ -122,4 +122,4 @@ def test_a_target_that_is_written_is_read_as_the_same_board(tmp_path, form):
 )
 def test_a_board_that_kalibr_does_not_know_is_not_written(form, message):
     with pytest.raises(InvalidInput, match=message):
-        kalibr_target.text_of(parse_board(form))
+        boards.kalibr_text(parse_board(form))

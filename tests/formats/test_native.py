@@ -29,8 +29,7 @@ from camcal.formats.camera_file import (
 )
 from camcal.geometry.pose import Pose
 from camcal.quality.projection_uncertainty import KnownRegion
-from camcal.targets.board import parse_board
-from camcal.targets.surface import Surface
+from camcal.targets.board import Surface, parse_board
 
 GOOD = """%YAML 1.1
 ---

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from camcal.errors import CamcalError, InvalidInput
 from camcal.formats import tags
 from camcal.geometry.pose import Pose
-from camcal.targets.markers.tags import APRILTAG, OPENCV, TagObjects, tag_corners
+from camcal.targets.markers import APRILTAG, OPENCV, TagObjects, tag_corners
 
 CUBE = """\
 family: tag36h11

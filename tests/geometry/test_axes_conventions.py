@@ -6,8 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from camcal.errors import InvalidInput
-from camcal.geometry.axes import CONVENTIONS, change, convention_named, reexpress, reexpress_jacobian
-from camcal.geometry.pose import Pose
+from camcal.geometry.pose import CONVENTIONS, Pose, change, convention_named, reexpress, reexpress_jacobian
 
 X, Y, Z = (1, 0, 0), (0, 1, 0), (0, 0, 1)
 NUMBERS = st.floats(-2, 2)

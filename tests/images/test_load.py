@@ -9,8 +9,8 @@ from PIL import Image as Pillow
 
 from camcal.errors import FileError, InvalidInput
 from camcal.images import exif
+from camcal.images.files import gray_8bit, load
 from camcal.images.image import Image, Scratch
-from camcal.images.load import gray_8bit, load
 
 
 def pictures():

@@ -9,9 +9,8 @@ from PIL import Image as Pillow
 
 from camcal.errors import FileError, InvalidInput
 from camcal.images.exif import read_jpeg
+from camcal.images.files import KINDS, load, save
 from camcal.images.image import Image
-from camcal.images.load import load
-from camcal.images.save import KINDS, save
 
 ORIENTATION = 0x0112
 

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from camcal.errors import FileError, InsufficientData, InvalidInput
-from camcal.images.save import save
+from camcal.images.files import save
 from camcal.raw.calibration_frames import make_map, read_map, repair, write_map
 from camcal.raw.mosaic import phases
 from camcal.raw.names import MONO, PATTERNS

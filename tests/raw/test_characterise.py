@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from camcal.errors import InsufficientData, InvalidInput
+from camcal.raw.emva import FULL_WELL, NOT_REACHED, WHITE_LEVEL, characterise
 from camcal.raw.level import measure_level
 from camcal.raw.mosaic import Mosaic
-from camcal.raw.sensor import FULL_WELL, NOT_REACHED, WHITE_LEVEL, characterise
 from camcal.simulate.mosaics import FixedPattern, RawCamera, Shot, even_frame, exposure_series
 from camcal.simulate.options import Sensor
 

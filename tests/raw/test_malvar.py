@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from bayer import PEAK, by_threads, random_mosaic, sampled, scene
 
-from camcal.raw.linear_filters import malvar
+from camcal.raw.filters import malvar
 from camcal.raw.names import PATTERNS
 
 GREEN = np.array([[0, 0, -1, 0, 0], [0, 0, 2, 0, 0], [-1, 2, 4, 2, -1], [0, 0, 2, 0, 0], [0, 0, -1, 0, 0]]) / 8

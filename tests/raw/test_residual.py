@@ -10,9 +10,8 @@ from bayer import PEAK, by_threads, random_mosaic, sampled, scene
 from camcal.raw import ri_green
 from camcal.raw.demosaic import demosaic
 from camcal.raw.names import PATTERNS
-from camcal.raw.planes import one_by_one
 from camcal.raw.residual import RED_BLUE_REACH, noise_of_green, residual_interpolation
-from camcal.raw.tiling import scale_of
+from camcal.raw.tiles import detail_balance, one_by_one
 
 MARGIN = 64  # pixels; more than the filter reaches, and whole windows
 DIAGONALS = [[(1, 1), (-1, -1)], [(1, -1), (-1, 1)]]
@@ -182,7 +181,7 @@ def test_it_is_the_plain_filter(pattern, shape):
 
 def test_linear_light_is_filtered_as_square_roots():
     light = sampled(scene((66, 70)) ** 2.2 * np.array([0.6, 1.0, 0.4]) - 0.01, "GRBG").astype(np.float32)
-    gains = scale_of(light, "GRBG", 1, linear=True).gains
+    gains = detail_balance(light, "GRBG")
     factors = sampled(np.broadcast_to([gains[colour] for colour in "BGR"], (*light.shape, 3)), "GRBG")
     toe, top = np.sqrt(0.002), np.sqrt(1.002) - np.sqrt(0.002)
     roots = np.sign(light) * (np.sqrt(np.abs(light * factors) + toe**2) - toe) / top

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from bayer import PEAK, by_threads, random_mosaic, sampled, scene
 
+from camcal.raw.filters import vng
 from camcal.raw.names import PATTERNS
-from camcal.raw.vng import vng
 
 # Gradients: pairs of full weight, pairs of half weight.
 STRAIGHT = {

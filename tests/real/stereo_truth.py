@@ -3,7 +3,7 @@
 import numpy as np
 
 from camcal.formats import disparity
-from camcal.images.load import gray_8bit, load
+from camcal.images.files import gray_8bit, load
 
 MAPS = {
     "middlebury2003-cones": ("im2.png", "im6.png", "disp2.png", 4),

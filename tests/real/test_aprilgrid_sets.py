@@ -11,8 +11,8 @@ from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.estimate.pnp import estimate_poses
 from camcal.estimate.poses.records import Correspondences
-from camcal.images.load import gray_8bit, load
-from camcal.targets.aprilgrid.aprilgrid import find_aprilgrid
+from camcal.images.files import gray_8bit, load
+from camcal.targets.aprilgrid import find_aprilgrid
 from camcal.targets.board import parse_board
 from camcal.targets.detection import BoardDetection
 

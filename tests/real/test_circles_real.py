@@ -12,7 +12,7 @@ import pytest
 from camcal.calibrate.intrinsics import Options, calibrate
 from camcal.cameras.catalogue import model_named
 from camcal.targets.board import parse_board
-from camcal.targets.circles.circles import find_circles
+from camcal.targets.circles import find_circles
 from camcal.targets.detection import BoardDetection
 
 SETS = {

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from camcal.formats import disparity, pair_calibration
-from camcal.images.load import load
+from camcal.images.files import load
 from camcal.stereo.geometry import StereoGeometry
 from camcal.stereo.points.cloud import CloudMaker
 from camcal.stereo.points.depth import StereoImage

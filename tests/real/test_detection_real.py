@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from camcal.errors import InsufficientData
-from camcal.images.load import gray_8bit, load
+from camcal.images.files import gray_8bit, load
 from camcal.run.paths import find_images
 from camcal.targets.board import parse_board
 from camcal.targets.checker.charuco_search import search_charuco

@@ -11,7 +11,7 @@ from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.formats.boards import load_board
 from camcal.geometry.pose import Pose
-from camcal.images.load import gray_8bit, load
+from camcal.images.files import gray_8bit, load
 from camcal.targets.detect import detect
 from camcal.targets.pattern import pattern_of
 

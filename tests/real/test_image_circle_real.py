@@ -9,8 +9,8 @@ from collections import defaultdict
 import numpy as np
 import pytest
 
+from camcal.images.files import gray_8bit, load
 from camcal.images.image_circle import ImageCircleSearch, evenly_spaced
-from camcal.images.load import gray_8bit, load
 from camcal.images.options import ViewOptions
 from camcal.targets.board import parse_board
 from camcal.tasks.calibration.calibrate import calibrate

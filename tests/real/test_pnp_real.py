@@ -8,7 +8,7 @@ from camcal.cameras.model import Camera
 from camcal.formats import native
 from camcal.formats.camera_file import CameraEntry, CameraFile
 from camcal.geometry.pose import Pose
-from camcal.report import pose_words
+from camcal.report import track_words
 from camcal.tasks.calibration.calibrate import calibrate
 from camcal.tasks.calibration.options import CalibrateOptions
 from camcal.tasks.poses.pnp import PnpOptions, pnp
@@ -83,5 +83,5 @@ def test_residuals_of_a_cameras_own_images_are_what_its_file_says(real_data, tmp
     calibrate(CalibrateOptions((str(real_data / images),), camera, board, save_detections=table, jobs=1))
     poses = pnp(PnpOptions(str(camera), inputs=(str(table),))).poses
     assert 2 / 3 < poses.noise.scale < 1.5  # 4 to 15 by what corner detection says alone
-    assert "a-posteriori" not in pose_words.noise(poses)
+    assert "a-posteriori" not in track_words.noise(poses)
     assert all(record.status == "ok" for record in poses.estimates.values())

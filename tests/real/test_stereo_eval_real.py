@@ -4,7 +4,7 @@ import cv2
 import pytest
 
 from camcal.formats import disparity
-from camcal.images.load import gray_8bit, load
+from camcal.images.files import gray_8bit, load
 from camcal.stereo.truth import evaluate, visible_in_both
 
 

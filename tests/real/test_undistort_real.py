@@ -8,7 +8,7 @@ from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.formats import native
 from camcal.formats.camera_file import CameraEntry, CameraFile
-from camcal.images.load import load
+from camcal.images.files import load
 from camcal.images.options import ViewOptions
 from camcal.tasks.calibration.undistort import undistort
 from camcal.tasks.calibration.undistort_options import UndistortOptions

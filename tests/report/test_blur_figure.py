@@ -9,7 +9,7 @@ from drawn_figures import require_readable
 from matplotlib.patches import Rectangle
 
 from camcal.report.figures.figure import encoded
-from camcal.report.figures.over_distance import BlurCurve, blur_over_distance
+from camcal.report.figures.over_time import BlurCurve, blur_over_distance
 
 CURVE = BlurCurve(8e-3, 2.8, 0.5, 3.45e-6, 0.465436, 0.540109, 3.45e-6, 3.8e-6)
 FAR = replace(CURVE, focus=inf, near=6.6, far=inf, pitch=None, airy_diameter=None)

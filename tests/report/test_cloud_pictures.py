@@ -18,7 +18,7 @@ from camcal.report.cloud_pictures import (
     video_frames,
     write_video,
 )
-from camcal.report.cloud_views import View, named_views, turn, view_of
+from camcal.report.cloud_scene import View, named_views, turn, view_of
 from camcal.report.colour_scale import ColourScale, paint_of, scale_of, turbo, turbo_table
 
 SIZE = (240, 180)

@@ -5,8 +5,7 @@ import pytest
 from clouds import BLUE, RED, ROS, in_ros, scene_of, square, stream_of, two_squares
 
 from camcal.errors import InsufficientData, InvalidInput
-from camcal.report.cloud_scene import evenly, gather
-from camcal.report.cloud_views import around, axes_of, named_views, turn, view_of
+from camcal.report.cloud_scene import around, axes_of, evenly, gather, named_views, turn, view_of
 from camcal.stereo.points.frames import VertexStream, vertex_type
 
 

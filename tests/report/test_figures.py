@@ -7,11 +7,11 @@ import pytest
 from drawn_figures import require_readable
 
 from camcal.errors import InvalidInput
+from camcal.raw.emva import characterise
 from camcal.raw.level import measure_level
 from camcal.raw.mosaic import Mosaic
-from camcal.raw.sensor import characterise
+from camcal.report.figures.curves import characterisation, sensor_plots
 from camcal.report.figures.figure import encoded, require_suffix
-from camcal.report.figures.sensor import characterisation, sensor_plots
 from camcal.simulate.mosaics import FixedPattern, RawCamera, Shot, even_frame, exposure_series
 from camcal.simulate.options import Sensor
 

@@ -24,12 +24,11 @@ from camcal.formats.poses.record import PixelNoise, PoseKey, PoseRecord, Poses
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose, Trajectory
 from camcal.quality.projection_uncertainty import projection_uncertainty
-from camcal.report.figures.camera_files import pose_plots
 from camcal.report.figures.curves import fitted_curve, parameter_errors
 from camcal.report.figures.disparity_errors import DisparityErrors, disparity_error_plots, disparity_map
 from camcal.report.figures.figure import drawn
 from camcal.report.figures.over_time import Panel, over_time, track_over_time, track_plots
-from camcal.report.figures.rig import rig_plots
+from camcal.report.figures.rig import pose_plots, rig_plots
 from camcal.report.figures.trajectories import path_of, trajectory_plots
 from camcal.targets.board import Board
 

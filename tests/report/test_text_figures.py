@@ -9,11 +9,13 @@ from camcal.calibrate.intrinsics import Options, calibrate
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.cameras.validity import ImageCircle
-from camcal.report.letters import ASCII, BLOCKS, letters
 from camcal.report.text_figures import (
+    ASCII,
+    BLOCKS,
     calibration_figures,
     coverage_map,
     coverage_words,
+    letters,
     residual_histogram,
     residual_words,
 )

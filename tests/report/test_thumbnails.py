@@ -9,8 +9,7 @@ from camcal.calibrate.intrinsics import Calibration, View
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.report.page.thumbnails import MOST, magnification, thumbnails, views_of
-from camcal.targets.board import Board
-from camcal.targets.surface import Surface
+from camcal.targets.board import Board, Surface
 
 BOARD = Board("chessboard", 9, 6, 0.025)
 CAMERA = Camera(model_named("pinhole"), (1000, 800), np.array([900.0, 900.0, 499.5, 399.5]))

@@ -2,7 +2,7 @@
 
 import pytest
 
-from camcal.report.uncertain import projection_words, value_and_std
+from camcal.report.table import projection_words, value_and_std
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,6 @@
 """A histogram of values in letters."""
 
-from camcal.report.letters import value_histogram
+from camcal.report.text_figures import value_histogram
 
 
 def test_every_value_is_counted_and_the_longest_bar_fills_the_width():

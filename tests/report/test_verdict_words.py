@@ -7,8 +7,7 @@ from camcal.formats import native
 from camcal.formats.camera_file import CalibrationVerdict, CameraEntry, CameraFile
 from camcal.messages import Message
 from camcal.quality.criteria import CRITERIA
-from camcal.report.page.record import BAD, FAILURE, GOOD, WARNING, WEAK, Table
-from camcal.report.page.verdict import checks_table, shown_messages, verdict
+from camcal.report.page.record import BAD, FAILURE, GOOD, WARNING, WEAK, Table, checks_table, shown_messages, verdict
 from camcal.tasks.reports.options import ReportOptions
 from camcal.tasks.reports.report import report
 

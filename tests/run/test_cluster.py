@@ -267,6 +267,6 @@ def test_nothing_of_a_run_stays_with_the_worker():
     before = files.LEDGER.get(), urls.REMOTE.get()
     answers(work.doubled, [1], RunTerms(**{**vars(TERMS), "max_pixels": 5}))
     assert (files.LEDGER.get(), urls.REMOTE.get()) == before
-    from camcal.images import limits
+    from camcal.images.options import max_pixels
 
-    assert limits.max_pixels() != 5
+    assert max_pixels() != 5

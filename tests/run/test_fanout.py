@@ -21,9 +21,9 @@ import pytest
 from camcal.errors import FileError, InvalidInput, ItemsFailed
 from camcal.messages import Message
 from camcal.progress import Outcome
-from camcal.run.fanout import fan_out, over_threads
+from camcal.run.fanout import fan_out
 from camcal.run.options import BatchOptions
-from camcal.run.process import available_cores
+from camcal.run.process import available_cores, over_threads
 
 WAYS = [
     pytest.param({"jobs": 1}, id="inline"),
@@ -46,17 +46,20 @@ def gone(pid: int, within_s: float = 5.0) -> bool:
 
 
 def children() -> list[int]:
-    """Return the worker processes of this one; the resource tracker of multiprocessing lives on by design."""
-    found = []
+    """Return the worker processes of this one: the children of the server that forks them. It and the resource tracker
+    of multiprocessing live on by design.
+    """
+    parents, servers = {}, set()
     for stat in Path("/proc").glob("[0-9]*/stat"):
         try:
-            parent = int(stat.read_text().rpartition(")")[2].split()[1])
+            process, parent = int(stat.parent.name), int(stat.read_text().rpartition(")")[2].split()[1])
             command = (stat.parent / "cmdline").read_text()
         except (FileNotFoundError, ProcessLookupError):
             continue
-        if parent == os.getpid() and "spawn_main" in command:
-            found.append(int(stat.parent.name))
-    return found
+        parents[process] = parent
+        if parent == os.getpid() and "forkserver" in command:
+            servers.add(process)
+    return [process for process, parent in parents.items() if parent in servers]
 
 
 class Recorder:
@@ -358,7 +361,8 @@ LIMITED = """
 import sys, threading
 sys.path.insert(0, sys.argv[1])
 import fanout_work as work
-from camcal.run.fanout import fan_out, over_threads
+from camcal.run.fanout import fan_out
+from camcal.run.process import over_threads
 threading.stack_size(1 << 46)  # no thread can start: there is no room for what it asks for
 for way in ({}, {"processes": True}):
     print([outcome.value for outcome in fan_out(work.doubled, range(4), jobs=2, **way)])

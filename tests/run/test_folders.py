@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 from fanout_work import write_image
 
-from camcal import files, folders
+from camcal import files, system
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.errors import FileError
 from camcal.formats import native
 from camcal.formats.camera_file import CameraEntry, CameraFile
-from camcal.images.save import save
+from camcal.images.files import save
 from camcal.progress import SILENT
 from camcal.run import manifest
 from camcal.run.fanout import fan_out
-from camcal.run.outputs import watching
+from camcal.run.outputs import watch_files
 from camcal.tasks.calibration.undistort import undistort
 from camcal.tasks.calibration.undistort_options import UndistortOptions
 
@@ -71,8 +71,8 @@ def test_an_output_folder_that_becomes_a_link_ends_the_run_and_nothing_goes_thro
 def test_worker_processes_write_nothing_into_a_folder_that_was_exchanged(folder):
     (folder / "foreign").mkdir()
     items = [Path("out") / f"{number}.png" for number in range(40)]
-    with watching():
-        folders.prepare(Path("out"))
+    with watch_files():
+        system.prepare(Path("out"))
         outcomes = fan_out(write_image, items, jobs=2, processes=True)
         next(outcomes)
         swap_for_link(Path("out"), folder / "foreign")
@@ -92,7 +92,7 @@ def test_a_folder_exchanged_while_a_file_is_made_does_not_get_it(folder, name):
             (Path("out") / name).parent.mkdir(parents=True)
             (Path("out") / name).write_bytes(b"theirs")
 
-    with watching():
+    with watch_files():
         files.write_bytes(Path("out/a.png"), b"ours")
         with pytest.raises(FileError, match="replaced while the run wrote into it"):
             write_while_exchanged()
@@ -102,7 +102,7 @@ def test_a_folder_exchanged_while_a_file_is_made_does_not_get_it(folder, name):
 
 def test_no_folder_is_made_below_one_that_was_exchanged(folder):
     (folder / "foreign").mkdir()
-    with watching():
+    with watch_files():
         files.write_bytes(Path("out/a.png"), b"ours")
         swap_for_link(Path("out"), folder / "foreign")
         with pytest.raises(FileError, match="out: was moved"):

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from camcal.errors import FileError, InvalidInput
-from camcal.run import records
-from camcal.run.journal import Found, going_on, journal_beside, journaled, path_beside
+from camcal.run import fingerprint
+from camcal.run.journal import journal_beside, journaled, path_beside, resume_hint
 from camcal.run.options import DEFAULT_BATCH, BatchOptions
+from camcal.run.resume import Items
 from camcal.targets.board import Board
 from camcal.targets.detection import BoardDetection
 
@@ -38,7 +39,7 @@ def look(images, batch=DEFAULT_BATCH, stop=None, error=None, settings="any"):
         searched.append(path.stem)
         return BoardDetection(path.name, (4, 3), np.array([2, 5]), np.array([[0.1, 1 / 3], [2.5, np.pi]]))
 
-    found = Found(settings, lambda path: [path], BoardDetection)
+    found = Items(settings, lambda path: [path], result=BoardDetection)
     with journal_beside(OUTPUT, batch):
         outcomes = list(journaled(search, images, found, jobs=1, batch=batch))
     return searched, [outcome.value for outcome in outcomes]
@@ -101,10 +102,10 @@ def test_a_run_that_fails_leaves_a_journal_where_it_is_of_use(images, error, sta
 
 def test_a_run_for_which_images_failed_leaves_a_journal_until_they_are_repaired(images):
     look(images, stop=images[1], error=FileError("is damaged"))
-    assert going_on(OUTPUT) == "; with --resume the others are not searched again"
+    assert resume_hint(OUTPUT) == "; with --resume the others are not searched again"
     images[1].write_bytes(b"repaired")
     assert look(images, RESUME)[0] == ["1"]
-    assert going_on(OUTPUT) == ""
+    assert resume_hint(OUTPUT) == ""
 
 
 def test_records_of_detection_are_the_same_after_a_round_trip():
@@ -118,7 +119,7 @@ def test_records_of_detection_are_the_same_after_a_round_trip():
         colours={"red": BoardDetection("a.png", (640, 480), reason="dark")},
         time=0.25,
     )
-    back = records.of_plain(BoardDetection, records.as_plain(view))
+    back = fingerprint.value_of_plain(BoardDetection, fingerprint.as_plain(view))
     assert (back.other, back.time, back.colours["red"].reason, back.size) == (view.other, 0.25, "dark", (640, 480))
     assert np.array_equal(back.pixels, view.pixels)
     assert np.array_equal(back.covariance, view.covariance)

@@ -178,7 +178,7 @@ def test_a_suffix_and_a_content_that_contradict_each_other(tmp_path, suffix, con
 
 def test_a_file_that_another_process_writes_for_a_run_is_listed_with_its_hash(tmp_path):
     path = tmp_path / "a.png"
-    with outputs.watching():
+    with outputs.watch_files():
         claim([path])
         path.write_bytes(b"result\n")
     assert manifest.entries(tmp_path) == {"a.png": manifest.Entry.of(path)}
@@ -186,7 +186,7 @@ def test_a_file_that_another_process_writes_for_a_run_is_listed_with_its_hash(tm
 
 @pytest.mark.parametrize("elsewhere", [False, True])
 def test_what_other_processes_write_for_a_resumed_run_is_listed_before(tmp_path, elsewhere):
-    with outputs.watching() as run:
+    with outputs.watch_files() as run:
         run.resume = True
         claim([tmp_path / "a.png"], elsewhere=elsewhere)
         assert listed(tmp_path) == ["a.png"][:elsewhere]
@@ -194,7 +194,7 @@ def test_what_other_processes_write_for_a_resumed_run_is_listed_before(tmp_path,
 
 @pytest.mark.parametrize("elsewhere", [0, 1])
 def test_a_file_that_a_cluster_may_still_write_stays_listed(tmp_path, elsewhere):
-    with outputs.watching() as run:
+    with outputs.watch_files() as run:
         claim([tmp_path / "a.png", tmp_path / "b.png"])
         files.write_bytes(tmp_path / "a.png", b"result\n")
         run.elsewhere = elsewhere

@@ -47,7 +47,7 @@ for line in sys.stdin:
 
 UNDISTORT = ("cli.calibrate", "tasks.calibration.undistort")
 OTHERS = (
-    *("cli.poses", "cli.raw", "cli.rig", "cli.stereo", "tasks.calibration.calibrate"),
+    *("cli.poses", "cli.raw", "cli.calibrate", "cli.stereo", "tasks.calibration.calibrate"),
     *("tasks.calibration.detect", "tasks.stereo.clouds", "tasks.stereo.stereo_disparity", "tasks.stereo.stereo_run"),
     "tasks.stereo.rectify",
 )

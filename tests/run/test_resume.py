@@ -8,11 +8,11 @@ import pytest
 
 from camcal import files
 from camcal.errors import InvalidInput
-from camcal.images.save import save
+from camcal.images.files import save
 from camcal.run import manifest
 from camcal.run.manifest import MANIFEST
 from camcal.run.options import BatchOptions
-from camcal.run.outputs import claim, watching
+from camcal.run.outputs import claim, watch_files
 from camcal.run.resume import Items, resumable
 from camcal.tasks.calibration.undistort import UndistortOptions, undistort
 from camcal.tasks.options import GivenCamera
@@ -199,7 +199,7 @@ def lengths(texts, *, fail_fast=False, stream=False):
         return path.stem
 
     items = Items("any", lambda path: [path], outputs, str)
-    with watching() as account:
+    with watch_files() as account:
         account.resume = True
         claim(output for path in texts for output in outputs(path))
         every = (path for path in texts) if stream else texts

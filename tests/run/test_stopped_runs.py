@@ -10,8 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
-from camcal.images.load import load
-from camcal.images.save import save
+from camcal.images.files import load, save
 
 TEMPORARY = ".camcal.part-*"
 
@@ -126,9 +125,10 @@ def gone(pid):
 
 
 def workers_of(parent):
-    """Return the processes that a process started."""
+    """Return the processes that a process started, and those that these did."""
     listed = subprocess.run(["ps", "-o", "pid=", "--ppid", str(parent)], capture_output=True, text=True, check=False)
-    return [int(word) for word in listed.stdout.split()]
+    children = [int(word) for word in listed.stdout.split()]
+    return children + [process for child in children for process in workers_of(child)]
 
 
 @pytest.mark.slow

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from camcal.simulate.render import FLAT, bow, cubic, stretch, twist
-from camcal.targets.board import Board
-from camcal.targets.surface import basis
+from camcal.targets.board import Board, basis
 
 BOARD = Board("chessboard", 5, 3, 0.1)
 MIDDLE, RIGHT, BOTTOM, CORNER = 7, 9, 12, 14  # ids of points at (0, 0), (1, 0), (0, 1), (1, 1)

@@ -330,7 +330,7 @@ def test_groups_without_shared_parameters_have_no_products():
 
 def test_the_inverse_root_of_a_group_inverts_its_block():
     factors = factorise(Grouped.drawn().equations())
-    inverse = factors.inverse_group_root()
+    inverse = factors.group_inverse
     identity = np.broadcast_to(np.eye(3), (4, 3, 3))
     np.testing.assert_allclose(inverse @ factors.group_root, identity, atol=1e-12)
     block = factors.equations.group_group

@@ -5,7 +5,7 @@ import numpy as np
 import pypdfium2
 
 from camcal.targets.board import parse_board
-from camcal.targets.printing.draw import Footer, Sheet, ink_of, page_of
+from camcal.targets.printing import Footer, Sheet, ink_of, page_of
 
 FOOTER = Footer("A (title) with \\ & < signs", "small print")
 DPI = 127  # 5 pixels a millimetre: a page of whole millimetres has whole pixels

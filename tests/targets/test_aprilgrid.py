@@ -10,7 +10,7 @@ from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
 from camcal.simulate.render import Exposure, render
 from camcal.simulate.scene import make_camera
-from camcal.targets.aprilgrid.aprilgrid import find_aprilgrid
+from camcal.targets.aprilgrid import find_aprilgrid
 from camcal.targets.board import parse_board
 
 BOARD = parse_board("aprilgrid:4x3:60mm:0.3")

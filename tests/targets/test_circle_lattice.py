@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from camcal.targets.board_types import grid_points
-from camcal.targets.circles.blobs import Ellipses, find_ellipses, lattices, places, square_roots
+from camcal.targets.ellipses import Ellipses, find_ellipses, lattices, places, square_roots
 
 COLUMNS, ROWS = 8, 6
 

@@ -16,7 +16,7 @@ from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
 from camcal.simulate.render import Exposure, render
 from camcal.targets.board import parse_board
-from camcal.targets.circles.circles import find_circles
+from camcal.targets.circles import find_circles
 
 SIZE, FOCAL = (640, 480), 600.0
 NUMBERED = 0.05  # px: far from the next circle, and no less than smaller discs and steeper boards allow

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from scipy.optimize import least_squares
 
 from camcal.targets.board_types import grid_points
-from camcal.targets.circles.blobs import Ellipses, square_roots
-from camcal.targets.circles.disc_fit import projected_centres
+from camcal.targets.circles import projected_centres
+from camcal.targets.ellipses import Ellipses, square_roots
 
 POINTS = grid_points(7, 5)
 RADIUS = 0.3

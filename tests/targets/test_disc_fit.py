@@ -6,9 +6,8 @@ import pytest
 from scipy.integrate import trapezoid
 from scipy.special import ndtr
 
-from camcal.targets.circles.blobs import Ellipses
-from camcal.targets.circles.disc_fit import fit_discs
-from camcal.targets.circles.disc_model import picture, rim
+from camcal.targets.disc_fit import fit_discs
+from camcal.targets.ellipses import Ellipses, picture, rim
 
 RAYS = 8  # per pixel and axis
 

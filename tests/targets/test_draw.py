@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from camcal.errors import InvalidInput
 from camcal.targets.board import Board, parse_board
-from camcal.targets.printing.draw import Footer, Sheet, ink_of, page_of
-from camcal.targets.printing.page import PAPERS, paper_named
+from camcal.targets.page import PAPERS, paper_named
+from camcal.targets.printing import Footer, Sheet, ink_of, page_of
 
 FOOTER = Footer("A title", "and small print that is a little longer", ruler=True)
 BOARDS = (

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from camcal.targets.printing.draw import outlines
+from camcal.targets.printing import outlines
 
 
 def around(black):

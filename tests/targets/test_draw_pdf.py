@@ -8,8 +8,7 @@ import pypdfium2
 import pytest
 from printed import BOARDS, DPI, FOOTER, decoded, page_with, rasterised
 
-from camcal.targets.printing.page import Page, pdf, rectangle
-from camcal.targets.printing.png import png
+from camcal.targets.page import Page, pdf, png, rectangle
 
 PAGE = page_with("chessboard:9x6:25mm")
 

@@ -11,9 +11,8 @@ from printed import decoded, page_with
 
 from camcal.errors import InvalidInput
 from camcal.targets.board import parse_board
-from camcal.targets.printing.draw import ink_of, require_fine
-from camcal.targets.printing.page import Page, Text, paper_named, rectangle
-from camcal.targets.printing.png import dots_per_mm, png, size_in_pixels
+from camcal.targets.page import Page, Text, dots_per_mm, paper_named, png, rectangle, size_in_pixels
+from camcal.targets.printing import ink_of, require_fine
 
 NO_DISCS = np.zeros((0, 4))
 

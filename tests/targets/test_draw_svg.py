@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from printed import BOARDS, FOOTER, page_with
 
-from camcal.targets.printing.page import Page, rectangle, svg
+from camcal.targets.page import Page, rectangle, svg
 
 SVG = {"svg": "http://www.w3.org/2000/svg"}
 

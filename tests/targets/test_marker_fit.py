@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from tagged import facing, photograph, pinhole, true_corners
 
-from camcal.targets.markers import fit
-from camcal.targets.markers.families import MarkerDrawing, family_named
-from camcal.targets.markers.fit import fit_marker
+from camcal.targets import marker_fit
+from camcal.targets.marker_fit import fit_marker
+from camcal.targets.pattern import MarkerDrawing, family_named
 
 CORNERS = np.array([[-21.0, -18.0], [19.0, -22.0], [24.0, 17.0], [-18.0, 20.0]])
 DRAWING = family_named("tag25h9").drawing(3)
@@ -18,30 +18,30 @@ def random_places(count=60, reach=1.1, seed=1):
 
 
 def test_places_come_back_from_their_pixels():
-    entries, places = fit.homography(CORNERS), random_places()
-    assert np.allclose(fit.straight(entries, fit.CORNERS).pixels, CORNERS)
-    assert np.allclose(fit.places_of(entries, fit.straight(entries, places).pixels), places)
+    entries, places = marker_fit.homography(CORNERS), random_places()
+    assert np.allclose(marker_fit.straight(entries, marker_fit.CORNERS).pixels, CORNERS)
+    assert np.allclose(marker_fit.places_of(entries, marker_fit.straight(entries, places).pixels), places)
 
 
 def test_derivatives_of_the_place_are_those_of_central_differences():
-    entries, places = fit.homography(CORNERS), random_places()
-    placed = fit.straight(entries, places)
+    entries, places = marker_fit.homography(CORNERS), random_places()
+    placed = marker_fit.straight(entries, places)
     for axis, step in enumerate(np.eye(2) * 1e-6):
-        ends = [fit.straight(entries, places + sign * step).pixels for sign in (1, -1)]
+        ends = [marker_fit.straight(entries, places + sign * step).pixels for sign in (1, -1)]
         assert np.allclose((ends[0] - ends[1]) / 2e-6, placed.by_place[:, :, axis], atol=1e-6)  # float64 at h = 1e-6
     for entry, step in enumerate(np.eye(8) * 1e-6):
-        ends = [fit.straight(entries + sign * step, places).pixels for sign in (1, -1)]
+        ends = [marker_fit.straight(entries + sign * step, places).pixels for sign in (1, -1)]
         assert np.allclose((ends[0] - ends[1]) / 2e-6, placed.by_entries[:, :, entry], atol=1e-6)
     product = np.einsum("kij,kjl->kil", placed.gradients, placed.by_place)
     assert np.allclose(product, np.eye(2), atol=1e-12)
 
 
 def test_bends_leave_the_corners_and_straight_lines_through_the_middle():
-    entries = fit.homography(CORNERS)
-    at_corners = fit.bends_of(entries, fit.CORNERS, np.array([150.0, -90.0]), 400.0)
-    assert at_corners.shape == (4, 2, fit.BENDS)
+    entries = marker_fit.homography(CORNERS)
+    at_corners = marker_fit.bends_of(entries, marker_fit.CORNERS, np.array([150.0, -90.0]), 400.0)
+    assert at_corners.shape == (4, 2, marker_fit.BENDS)
     assert np.abs(at_corners).max() < 1e-12
-    between = fit.bends_of(entries, np.zeros((1, 2)), np.array([150.0, -90.0]), 400.0)
+    between = marker_fit.bends_of(entries, np.zeros((1, 2)), np.array([150.0, -90.0]), 400.0)
     assert (np.abs(between[0]).max(axis=0) > 1e-3).all()
 
 
@@ -135,9 +135,9 @@ def test_gamma_does_not_change_the_side_of_a_tag():
         corners = CORNERS + 60 + np.random.default_rng(tag).uniform(-0.5, 0.5, 2)
         drawing = family_named("tag36h11").drawing(tag)
         pixels = np.stack(np.meshgrid(np.arange(120.0), np.arange(120.0)), axis=-1).reshape(-1, 2)
-        entries = fit.homography(corners)
-        places = fit.places_of(entries, pixels)
-        blurred = drawing.blurred(places, fit.straight(entries, places).gradients, 1.2).value
+        entries = marker_fit.homography(corners)
+        places = marker_fit.places_of(entries, pixels)
+        blurred = drawing.blurred(places, marker_fit.straight(entries, places).gradients, 1.2).value
         gray = np.rint(255 * srgb(0.04 + 0.81 * blurred)).reshape(120, 120).astype(np.uint8)
         both = corners, fit_marker(gray, corners, drawing).corners
         sides = [np.linalg.norm(four - np.roll(four, 1, axis=0), axis=1).sum() for four in both]

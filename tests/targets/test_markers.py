@@ -9,9 +9,9 @@ from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.errors import InvalidInput
 from camcal.simulate.render import Exposure
-from camcal.targets.markers.families import APRILTAGS, family_named
-from camcal.targets.markers.fit import looks_alike
-from camcal.targets.markers.markers import FAMILIES, detect_markers
+from camcal.targets.marker_fit import looks_alike
+from camcal.targets.markers import FAMILIES, detect_markers
+from camcal.targets.pattern import APRILTAGS, family_named
 
 TILTED = [
     (3, facing(-0.10, -0.06, 0.45, (0.5, 0.2, 0.3))),

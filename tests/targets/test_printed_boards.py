@@ -8,7 +8,7 @@ from printed import BOARDS, DPI, decoded, page_with, rasterised
 
 from camcal.targets.board import parse_board
 from camcal.targets.detect import detect
-from camcal.targets.printing.draw import encoded
+from camcal.targets.printing import encoded
 
 
 @pytest.mark.parametrize("kind", [".pdf", ".png"])

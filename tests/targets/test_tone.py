@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from camcal.targets.corners.checker_picture import toned
+from camcal.targets.corners.refine import toned
 
 PICTURE = np.linspace(-1, 1, 41)[None]
 

@@ -9,8 +9,8 @@ from camcal.errors import InvalidInput
 from camcal.formats import cameras, detections, native
 from camcal.formats.camera_file import CameraEntry, CameraFile
 from camcal.geometry.pose import Pose
+from camcal.images.files import save
 from camcal.images.options import ViewOptions
-from camcal.images.save import save
 from camcal.options import command_line, declared
 from camcal.simulate.scene import observe
 from camcal.targets.board import parse_board

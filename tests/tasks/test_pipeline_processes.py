@@ -8,13 +8,12 @@ from pathlib import Path
 import pytest
 
 from camcal import urls
-from camcal.cli.steps import StepCommands, perform
+from camcal.cli.pipeline import StepCommands, perform
 from camcal.errors import FileError
 from camcal.progress import SILENT
 from camcal.run.options import BatchOptions
-from camcal.tasks.pipelines.options import PipelineOptions
 from camcal.tasks.pipelines.run_pipeline import DONE, FAILED, NOT_RUN, run_pipeline
-from camcal.tasks.pipelines.step import StepResult
+from camcal.tasks.pipelines.step import PipelineOptions, StepResult
 
 CAMERA = Path(__file__).parents[2] / "sample_configs" / "cameras" / "pinhole.yaml"
 PIPELINE = """\

@@ -16,13 +16,12 @@ from camcal.formats import detections, native
 from camcal.formats.camera_file import CalibrationNoise, CameraEntry, CameraFile
 from camcal.formats.poses.record import PixelNoise, PoseKey
 from camcal.geometry.pose import Pose
-from camcal.images.save import save
+from camcal.images.files import save
 from camcal.progress import Silent
-from camcal.report import pose_words
+from camcal.report import track_words
 from camcal.simulate.scene import observe
-from camcal.targets.board import parse_board
+from camcal.targets.board import Surface, parse_board
 from camcal.targets.detection import BoardDetection, Detections
-from camcal.targets.surface import Surface
 from camcal.tasks.poses.pnp import Gates, PnpOptions, PriorOptions, pnp
 from camcal.tasks.poses.pnp_observer import Observer
 from camcal.tasks.poses.pnp_views import DetectionOptions, Observation
@@ -394,7 +393,7 @@ def test_a_pose_from_fewer_than_half_of_the_points_is_flagged(camera_file, tmp_p
     for pose_key, record in report.poses.estimates.items():
         assert record.n_inliers < 27
         assert record.status == f"weak: {record.n_inliers} of 54 inliers, fewer than half"
-        assert pose_words.row(report.poses, pose_key, record)[-1] == record.status
+        assert track_words.row(report.poses, pose_key, record)[-1] == record.status
 
 
 def shaken(found, std_px, claimed_px, seed=5):
@@ -415,12 +414,12 @@ def test_the_model_error_of_the_camera_file_counts_beside_what_corners_say(camer
     found = shaken(seen, 0.4, 0.05)  # on top of 0.1 px
     bare = pnp(from_detections(camera_file, tmp_path, found, outliers="few"))
     assert bare.poses.noise.scale == pytest.approx(0.41 / 0.05, rel=0.2)
-    assert "x the corner standard deviations (a-posteriori scale" in pose_words.noise(bare.poses)
+    assert "x the corner standard deviations (a-posteriori scale" in track_words.noise(bare.poses)
     native.write(Path(camera_file), CameraFile({"left": CameraEntry(CAMERA, noise=CalibrationNoise(0.41, 3000, 0.4))}))
     known = pnp(from_detections(camera_file, tmp_path, found, outliers="few"))
     assert known.poses.noise.scale == pytest.approx(1.0, rel=0.2)
     assert known.poses.noise.sigma_px == pytest.approx(0.41, rel=0.2)
-    assert "a-posteriori" not in pose_words.noise(known.poses)
+    assert "a-posteriori" not in track_words.noise(known.poses)
     given = pnp(from_detections(camera_file, tmp_path, found, outliers="few", noise_px=0.1))
     assert given.poses.noise == PixelNoise(0.1)
 

@@ -13,15 +13,15 @@ from camcal.cameras.model import Camera
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
-from camcal.images.save import save
+from camcal.images.files import save
 from camcal.options import given_words
 from camcal.raw.demosaic import demosaic
-from camcal.raw.detection_image import agreeing_gains, detection_image_of, read_detection_image
 from camcal.raw.dng import write_dng
 from camcal.raw.mosaic import Mosaic, sites
 from camcal.raw.names import MONO, PATTERNS
 from camcal.raw.options import GivenLayout, ImageReadOptions
 from camcal.raw.pixel_formats import pack, pixel_format_named
+from camcal.raw.reading import agreeing_gains, detection_image_of, read_detection_image
 from camcal.simulate.mosaics import filter_mosaic, lenses
 from camcal.simulate.render import Exposure, evenly_lit
 from camcal.targets.board import Board, parse_board

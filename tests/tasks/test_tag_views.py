@@ -9,7 +9,7 @@ from camcal.errors import FileError, InvalidInput
 from camcal.formats.tags import load_tags
 from camcal.geometry.pose import Pose
 from camcal.images.video import frame_name
-from camcal.targets.markers.tags import TagObjects, tag_corners
+from camcal.targets.markers import TagObjects, tag_corners
 from camcal.tasks.poses.tag_views import tag_views
 
 CAMERA = pinhole((320, 240), 400.0)

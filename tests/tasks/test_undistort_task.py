@@ -13,11 +13,10 @@ from camcal.cameras.validity import ImageCircle
 from camcal.errors import FileError, InvalidInput
 from camcal.formats import cameras, native
 from camcal.formats.camera_file import CameraEntry, CameraFile, ValidRegion
+from camcal.images.files import load, save
 from camcal.images.image import Image
-from camcal.images.load import load
 from camcal.images.options import ViewOptions
 from camcal.images.remap import build_maps
-from camcal.images.save import save
 from camcal.images.views import make_view
 from camcal.tasks.calibration.undistort import undistort
 from camcal.tasks.calibration.undistort_options import UndistortOptions

@@ -15,7 +15,7 @@ from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.cli.main import app
 from camcal.formats import disparity
-from camcal.images.save import save
+from camcal.images.files import save
 
 SIZES = (1e-300, 1e-200, 1e-30, 1e30, 1e200, 1e300)
 VALUES = (0.0, *SIZES, *(-size for size in SIZES))

@@ -13,7 +13,7 @@ from camcal.cli.main import app
 from camcal.formats import native
 from camcal.formats.camera_file import CameraEntry, CameraFile
 from camcal.geometry import rotation as so3
-from camcal.images.save import save
+from camcal.images.files import save
 
 COMMAND = get_command(app)
 LENS = Camera(model_named("opencv5"), (640, 480), np.array([500.0, 500, 320, 240, -0.1, 0.02, 0, 0, 0]))

@@ -20,10 +20,9 @@ from camcal.formats import detections
 from camcal.formats.covariance import why_no_covariance
 from camcal.formats.documents import parse_json
 from camcal.formats.tables import MAX_LINES, Table, cell, csv_rows, numbered_lines
-from camcal.formats.trajectories.table import read_lines
-from camcal.images import limits
-from camcal.images.load import load
-from camcal.images.save import save
+from camcal.formats.trajectories import read_lines
+from camcal.images.files import load, save
+from camcal.images.options import VARIABLE
 from camcal.parsing import is_number, parse_integer
 
 PROGRAM = "from camcal.cli.main import main; main()"
@@ -106,10 +105,10 @@ def test_the_largest_image_is_looked_up_in_the_header_of_every_format(tmp_path, 
     path = tmp_path / f"a{suffix}"
     save(path, np.zeros((30, 40), np.uint8))
     assert load(path).size == (40, 30)
-    monkeypatch.setenv(limits.VARIABLE, "1199")
+    monkeypatch.setenv(VARIABLE, "1199")
     with pytest.raises(FileError, match="40 x 30 are"):
         load(path)
-    monkeypatch.setenv(limits.VARIABLE, "1200")
+    monkeypatch.setenv(VARIABLE, "1200")
     assert load(path).size == (40, 30)
 
 

@@ -13,7 +13,7 @@ from camcal.formats import disparity as disparity_map
 from camcal.formats.camera_file import CameraEntry, CameraFile
 from camcal.formats.disparity_sidecar import Sidecar
 from camcal.geometry.pose import Pose
-from camcal.images.save import save
+from camcal.images.files import save
 from camcal.raw.dng import write_dng
 from camcal.raw.mosaic import Mosaic
 from camcal.simulate.scene import observe, views

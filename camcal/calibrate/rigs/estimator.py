@@ -24,6 +24,7 @@ from camcal.calibrate.shape import (
     board_scales,
     offset_std,
     point_equations,
+    scales_towards,
     spent_by_block,
 )
 from camcal.geometry import rotation as so3
@@ -57,7 +58,7 @@ def part_posteriors(
     its coefficients in a capture's group. std: (G, m) of the coefficients, in which the factors measure them.
     """
     shared, groups = factors.shared_covariance(), factors.group_covariances()
-    coupling = factors.inverse_group_root().transpose(0, 2, 1) @ factors.reduced
+    coupling = factors.group_inverse.transpose(0, 2, 1) @ factors.reduced
     cross = -np.concatenate(list(coupling)).dot(shared).reshape(coupling.shape)  # (G, g, S)
     result = []
     for camera, (block, own) in enumerate(zip(blocks, equations, strict=True)):
@@ -147,13 +148,14 @@ def estimate_rig(
     board: Mapping[str, Scale],
     *,
     motion: bool = False,
+    brief: bool = False,
 ) -> RigEstimate:
     """Return the estimate that passes lead to from a state near it.
 
-    known: the noise of each camera. board: scales of the board's shape. Raises SingularError where the data leave
-    parameters undetermined.
+    known: the noise of each camera. board: scales of the board's shape. brief: with few passes. Raises SingularError
+    where the data leave parameters undetermined.
     """
-    return _RigPasses(problem, state, additional, known=known, board=board, motion=motion).run()
+    return _RigPasses(problem, state, additional, known=known, board=board, motion=motion, brief=brief).run()
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,6 +179,7 @@ class _RigPasses(Alternation):
         board: Mapping[str, Scale],
         *,
         motion: bool,
+        brief: bool,
     ) -> None:
         together = additional.points and problem.board.count <= TOGETHER
         self.problem = problem.with_parts([replace(part, loss=None, offsets=together) for part in problem.parts])
@@ -195,7 +198,7 @@ class _RigPasses(Alternation):
         sigmas = [part.noise.sigma for part in self.parts]
         self.effect_scales = self.effects.start(self.problem.count, sigmas, max(self.problem.board.extent))
         coefficients = np.zeros((self.problem.count, len(self.effects.effect)))
-        self.begin(additional, problem.lens_starts[-1] + POSE * (len(problem.parts) - 1), fresh=False)
+        self.begin(additional, fresh=False, brief=brief)
         self._go_to(self._place(state, coefficients))
 
     def point_count(self) -> int:
@@ -210,7 +213,7 @@ class _RigPasses(Alternation):
             part.problem = own
 
     def run(self) -> RigEstimate:
-        passes, (factors, left, moved) = self.alternate(brief=False)
+        passes, (factors, left, moved) = self.alternate()
         return RigEstimate(
             self.problem,
             self.place.state,
@@ -260,7 +263,7 @@ class _RigPasses(Alternation):
         )
         start = self.problem.board_start
         scales = board_scales(self.problem.parts[0], self.problem.of_camera(end, 0), factors, start)
-        self.board = self.board | scales
+        self.board = scales_towards(self.board, scales, self.share)
         self.on_points = float(sum(own.sum() for own in offsets) + sum(view.on_offsets.sum() for view in self.views))
         for part, view, own in zip(self.parts, self.views, offsets, strict=True):
             part.spent = view.spent + view.on_offsets + own
@@ -293,7 +296,8 @@ class _RigPasses(Alternation):
         total = self.problem.joined(equations, [POSE + own for own in self.effects.slots], POSE + len(effect))
         total = _added(total, assemble(self.problem.priors(here.state), self.problem.shared, 0, POSE))
         if len(effect):
-            self.effect_scales = fit_effects(total, effect, self.effect_scales)
+            likeliest = fit_effects(total, effect, self.effect_scales)
+            self.effect_scales = self.effect_scales.towards(likeliest, self.share)
         std = self.effect_scales.std(effect) if len(effect) else np.zeros((self.problem.count, 0))
         factors = factorise(scaled(total, std))
         step, cost = factors.solve(), self._cost(here, std)

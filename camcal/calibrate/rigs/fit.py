@@ -25,7 +25,8 @@ from camcal.calibrate.rigs.estimator import RigEstimate, estimate_rig
 from camcal.calibrate.rigs.links import CameraPoses, Placed, best_turns_of_captures, composed, motions, turned
 from camcal.calibrate.rigs.problem import LensPrior, RigProblem, RigState
 from camcal.calibrate.shape import hold_to_print
-from camcal.cameras.model import Camera, CameraModel
+from camcal.cameras.lens import CameraModel
+from camcal.cameras.model import Camera
 from camcal.cameras.refit import refit
 from camcal.cameras.reprojection import by_pose
 from camcal.errors import InsufficientData
@@ -111,7 +112,7 @@ def fit_rig(
     plains = [start.solved.fit.plain for start in starts]
     additional = plains[0].additional
     known = [own.known for own in plains]
-    plain = estimate_rig(problem, state, additional, known, plains[0].board)
+    plain = estimate_rig(problem, state, additional, known, plains[0].board, brief=True)
     for _ in range(_ROUNDS if additional.smooth and len(problem.board.symmetries()) > 1 else 0):
         better = best_turns_of_captures(plain.problem, plain.state)
         if not better.any():
@@ -121,11 +122,11 @@ def fit_rig(
             composed(own, better[captures], problem.board)
             for own, captures in zip(turns, problem.captures, strict=True)
         )
-        plain = estimate_rig(problem, state, additional, known, plains[0].board)
+        plain = estimate_rig(problem, state, additional, known, plains[0].board, brief=True)
     moves = moved_between_exposures(plain) if motion is None else motion
-    if moves:
-        # from the noise of single cameras: to a rig without motion, views whose board moved look noisy
-        plain = estimate_rig(problem, plain.state, additional, known, plain.board, motion=True)
+    # with motion from the noise of single cameras: to a rig without it, views whose board moved look noisy
+    known = known if moves else list(plain.known)
+    plain = estimate_rig(problem, plain.state, additional, known, plain.board, motion=moves)
     share = max(start.solved.fit.errors.share for start in starts)
     estimates = [plain]
     for effects in _EFFECTS if share > 0 and plain.converged else ():

@@ -9,7 +9,8 @@ from camcal.arrays import FloatArray
 from camcal.brief import Brief
 from camcal.calibrate.fit import ShapeOptions
 from camcal.calibrate.intrinsics import Calibration
-from camcal.cameras.model import Camera, CameraModel
+from camcal.cameras.lens import CameraModel
+from camcal.cameras.model import Camera
 from camcal.errors import InvalidInput
 from camcal.geometry.pose import Pose
 from camcal.messages import Message

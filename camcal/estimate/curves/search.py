@@ -170,7 +170,10 @@ def search(curve: Curve, data: Data, start: Mapping[str, float], options: Search
     searches = _Searches(options, observe)
     if options.loss == "none":
         return Search(problem, searches.best(problem), searches.runs, None)
-    return _robust(problem, searches)
+    # Huber's loss comes first, which has one minimum for straight models: one that ignores outliers needs to start
+    # where they are known as such. Where sigma is unknown, the scale is that of the fit's own residuals.
+    first = _settled(problem, "huber", searches)
+    return first if options.loss == "huber" else _settled(first.problem, options.loss, searches)
 
 
 def _problem(curve: Curve, data: Data, start: Mapping[str, float], options: SearchOptions) -> CurveProblem:
@@ -251,17 +254,6 @@ class _Searches:
 def _is_defined(problem: CurveProblem, start: Array) -> bool:
     equations = linearise_dense(problem, start)
     return equations is not None and bool(np.isfinite(equations.cost))
-
-
-def _robust(problem: CurveProblem, searches: _Searches) -> Search:
-    """Return the robust fit; where sigma is unknown, its scale is that of its own residuals.
-
-    Huber's loss comes first, which has one minimum for straight models: one that ignores outliers needs to start where
-    they are known as such.
-    """
-    first = _settled(problem, "huber", searches)
-    name = searches.options.loss
-    return first if name == "huber" else _settled(first.problem, name, searches)
 
 
 def _settled(problem: CurveProblem, name: str, searches: _Searches) -> Search:

@@ -7,8 +7,7 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.estimate.poses import states as se3
-from camcal.estimate.poses.moments import inverses
-from camcal.estimate.poses.problem import PoseProblems, different, distinct, firsts, lowest
+from camcal.estimate.poses.problem import PoseProblems, different, distinct, firsts, inverses, lowest
 from camcal.estimate.poses.states import NEAR_PLANE, Extents
 from camcal.solve.independent import Minima
 

@@ -247,7 +247,10 @@ class Group:
         """Return by index why items cannot have a pose, for which `needed` points are; started: starts are known."""
         points, present = self.points()
         narrowness = self.extents.narrowness
-        different = _different(points, present)
+        keys = np.where(present, np.einsum("i,iwn->wn", _KEYS, points), np.inf)
+        keys.sort(axis=1)
+        there = np.isfinite(keys)
+        different = there[:, 0] + np.sum((keys[:, 1:] > keys[:, :-1]) & there[:, 1:], axis=1)  # how many points
         most = np.max([packed.present.sum(axis=1) for packed in self.packed_views], axis=0)
         found = {}
         for index in np.flatnonzero((different < needed) | (narrowness < _COLLINEAR) | (most < _CORNERS)).tolist():
@@ -261,11 +264,3 @@ class Group:
             elif not started:
                 found[index] = f"no camera sees {_CORNERS} of the points or more, the best {most[index]}"
         return found
-
-
-def _different(points: Array, present: Array) -> Array:
-    """Return how many different points (W,) there are among points (3, W, N)."""
-    keys = np.where(present, np.einsum("i,iwn->wn", _KEYS, points), np.inf)
-    keys.sort(axis=1)
-    there = np.isfinite(keys)
-    return np.asarray(there[:, 0] + np.sum((keys[:, 1:] > keys[:, :-1]) & there[:, 1:], axis=1))

@@ -30,6 +30,7 @@ _STARTS = 4
 _COMPARED = 12  # starts or minima of one view that are compared with each other, the lowest
 _SAME_START = 0.1  # rad, and share of the distance: starts this near lead to one minimum
 _SAME_MINIMUM = 1e-3
+_HELD = 1e-14  # keeps the normal matrices of other minima from having no inverse
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,15 +45,11 @@ class Anchor:
     def models(self, states: Array, view: Array) -> Models:
         """Return the models of ½ dᵀ Λ d, where d is the step from the anchor of a view (S,) to its state (S, 3, 4)."""
         known, information = self.states[view], self.information[view]
-        turn = so3.log(states[:, :, :3] @ known[:, :, :3].transpose(0, 2, 1))
-        steps = np.concatenate([states[:, :, 3] - known[:, :, 3], turn], axis=1)
-        jacobian = np.zeros((len(steps), 6, 6))
-        jacobian[:, :3, :3] = np.eye(3)
-        jacobian[:, 3:, 3:] = np.linalg.inv(so3.exp_jacobian(turn))
+        steps, slopes = se3.steps_from(states[:, :, :3], states[:, :, 3], known[:, :, :3], known[:, :, 3])
+        weighted = slopes.swapaxes(-1, -2) @ information
+        gradient = (weighted @ steps[..., None])[..., 0]
         pulls = (information @ steps[..., None])[..., 0]
-        gradient = np.einsum("spi,sp->si", jacobian, pulls)
-        normal = jacobian.transpose(0, 2, 1) @ information @ jacobian
-        return Models(0.5 * np.einsum("sp,sp->s", pulls, steps), gradient, normal)
+        return Models(0.5 * np.einsum("sp,sp->s", pulls, steps), gradient, weighted @ slopes)
 
 
 @dataclass(frozen=True, eq=False)
@@ -299,3 +296,11 @@ def distinct(states: Array, which: Array, cost: Array, tolerance: Array | float,
         kept[:, rank] &= ~np.any(close[:, :rank, rank] & kept[:, :rank], axis=1)
     kept &= np.cumsum(kept, axis=1) <= most
     return np.asarray(table[kept])
+
+
+def inverses(normal: Array) -> Array:
+    """Return the inverses of normal matrices (S, P, P); of singular ones, something large."""
+    scale = 1 / np.sqrt(np.maximum(np.einsum("sii->si", normal), np.finfo(float).tiny))
+    both = scale[:, :, None] * scale[:, None, :]
+    inverse = np.linalg.inv(normal * both + _HELD * np.eye(normal.shape[-1]))
+    return np.asarray((inverse + inverse.transpose(0, 2, 1)) / 2 * both)

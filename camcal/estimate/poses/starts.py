@@ -127,19 +127,16 @@ def starts(packed: PackedCorrespondences, extents: Extents) -> tuple[Array, Arra
     parts = [(np.zeros((0, 3, 4)), np.zeros(0, np.intp))]
     # a call for no view at all would take as long as one for a few
     if flat.any():
-        parts.append(_of_planes(packed, extents, np.flatnonzero(flat)))
+        views = np.flatnonzero(flat)
+        here, mask = extents.take(views), packed.present[views]
+        scale = (here.spread[:, 0] / np.sqrt(mask.sum(axis=1)))[:, None]
+        rotations, shifts = planar_poses(packed.rays[:, views], here.in_plane(packed.points[:, views]) / scale, mask)
+        parts.append((se3.compose(se3.stacked(rotations, shifts * scale), here.plane_T_object), views))
     if solid.any():
         parts.append(_of_solids(packed, extents, np.flatnonzero(solid)))
     if (few := (counts >= 3) & (counts <= FEW)).any():
         parts.append(_of_triplets(packed, np.flatnonzero(few)))
     return np.concatenate([states for states, _ in parts]), np.concatenate([view for _, view in parts])
-
-
-def _of_planes(packed: PackedCorrespondences, extents: Extents, views: Array) -> tuple[Array, Array]:
-    here, mask = extents.take(views), packed.present[views]
-    scale = (here.spread[:, 0] / np.sqrt(mask.sum(axis=1)))[:, None]
-    rotations, shifts = planar_poses(packed.rays[:, views], here.in_plane(packed.points[:, views]) / scale, mask)
-    return se3.compose(se3.stacked(rotations, shifts * scale), here.plane_T_object), views
 
 
 def _of_solids(packed: PackedCorrespondences, extents: Extents, views: Array) -> tuple[Array, Array]:

@@ -16,6 +16,8 @@ from camcal.geometry.pose import Pose
 IN_PLANE = 1e-4  # third spread over the first: below, points count as a plane
 NEAR_PLANE = 0.1  # below, a plane's second pose may be near a minimum too
 _IDENTITY = np.eye(3)
+_SMALL = 1e-6  # rad², below which the series is used
+_NEAR_HALF_TURN = -0.9  # cosine of an angle; there the sine says little
 
 
 def stacked(rotations: Array, translations: Array) -> Array:
@@ -65,6 +67,35 @@ def near(first: Array, second: Array, tolerance: Array | float) -> Array:
     apart = np.sum((first - second) ** 2, axis=-2)
     turn, shift, distance = apart[..., :3].sum(axis=-1) / 2, apart[..., 3], np.sum(first[..., 3] ** 2, axis=-1)
     return np.asarray((turn < tolerance**2) & (shift <= tolerance**2 * distance))
+
+
+def steps_from(
+    rotations: Array, translations: Array, middle_rotations: Array, middle_translations: Array
+) -> tuple[Array, Array]:
+    """Return the steps (..., 6) from middles to poses and how they change (..., 6, 6) with a step of the pose."""
+    turn = rotation_vectors(rotations @ middle_rotations.swapaxes(-1, -2))
+    square = np.einsum("...i,...i->...", turn, turn)
+    half = np.sqrt(np.maximum(square, _SMALL)) / 2
+    factor = np.where(square < _SMALL, 1 / 12, (1 - half / np.tan(half)) / (4 * half**2))
+    skew = so3.hat(turn)
+    slope = np.zeros((*turn.shape[:-1], 6, 6))
+    slope[..., :3, :3] = _IDENTITY
+    # The inverse of the left Jacobian: Log(Exp(δ) Exp(v)) ≈ v + J⁻¹ δ.
+    slope[..., 3:, 3:] = _IDENTITY - skew / 2 + factor[..., None, None] * (skew @ skew)
+    return np.concatenate([translations - middle_translations, turn], axis=-1), slope
+
+
+def rotation_vectors(rotations: Array) -> Array:
+    """Return what so3.log returns for rotations (..., 3, 3), in less time where none is near a half turn."""
+    flat = rotations.reshape(*rotations.shape[:-2], 9)
+    axes = (flat[..., [7, 2, 3]] - flat[..., [5, 6, 1]]) / 2
+    sine = np.sqrt(np.einsum("...i,...i->...", axes, axes))
+    cosine = (flat[..., 0] + flat[..., 4] + flat[..., 8] - 1) / 2
+    if (cosine < _NEAR_HALF_TURN).any():
+        return so3.log(rotations)
+    small = sine < so3.SERIES_ANGLE
+    scale = np.where(small, 1 + sine**2 / 6, np.arctan2(sine, cosine) / np.where(small, 1.0, sine))
+    return np.asarray(scale[..., None] * axes)
 
 
 @dataclass(frozen=True, eq=False)

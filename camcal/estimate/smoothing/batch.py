@@ -48,8 +48,16 @@ class BatchSolution:
     log_likelihood: float
 
     def smoothed(self) -> Smoothed:
-        """Return the states with their covariances (K, n, n)."""
-        return Smoothed(self.means, _covariances(self.diagonal, self.below))
+        """Return the states with their covariances (K, n, n), the blocks on the diagonal of the inverse of L Lᵀ.
+
+        Given the next state, a state has covariance C = (L Lᵀ)⁻¹ of its own block, and follows the next with the gain
+        G = -L⁻ᵀ Bᵀ, B the block below: P = C + G P_next Gᵀ, the smoother's recursion.
+        """
+        inverse = np.linalg.inv(self.diagonal)
+        own = np.swapaxes(inverse, 1, 2) @ inverse
+        gains = -np.swapaxes(self.below @ inverse[:-1], 1, 2)
+        result = _recursion_as_triangle(own, gains) if own.shape[1] <= _SMALL_STATE else _recursion(own, gains)
+        return Smoothed(self.means, np.asarray((result + np.swapaxes(result, 1, 2)) / 2))
 
 
 def solve_batch(system: LinearSystem) -> BatchSolution:
@@ -74,7 +82,9 @@ def solve_batch(system: LinearSystem) -> BatchSolution:
         raise InsufficientData(_HIDDEN)
     means = cho_solve_banded((factor, True), right.ravel(), check_finite=False).reshape(right.shape)
     diagonal, below = blocks_of(factor, right.shape[1])
-    squares = _squares(system, process, measured, means)
+    moved = means[1:] - np.einsum("kij,kj->ki", system.transitions, means[:-1]) - system.controls
+    off = np.nan_to_num(system.measurements - means @ system.observation.T)
+    squares = float(np.einsum("ki,kij,kj->", moved, process, moved) + np.einsum("ki,kij,kj->", off, measured, off))
     degrees_of_freedom = int(system.present.sum() - right.shape[1] * (1 + np.sum(~system.linked)))
     # ln ∫ p(y, x) dx: the integrand at its peak and the curvature there; all is Gaussian, so this is exact.
     volume = (
@@ -141,26 +151,6 @@ def _normal_equations(system: LinearSystem, process: Array, measured: Array) -> 
     right[:-1] -= np.einsum("kij,kj->ki", weighted, system.controls)
     right[1:] += np.einsum("kij,kj->ki", process, system.controls)
     return blocks, -np.swapaxes(weighted, 1, 2), right
-
-
-def _squares(system: LinearSystem, process: Array, measured: Array, means: Array) -> float:
-    """Return the sum of all squared residuals, in units of their noise."""
-    moved = means[1:] - np.einsum("kij,kj->ki", system.transitions, means[:-1]) - system.controls
-    off = np.nan_to_num(system.measurements - means @ system.observation.T)
-    return float(np.einsum("ki,kij,kj->", moved, process, moved) + np.einsum("ki,kij,kj->", off, measured, off))
-
-
-def _covariances(diagonal: Array, below: Array) -> Array:
-    """Return the blocks (K, n, n) on the diagonal of the inverse of L Lᵀ.
-
-    Given the next state, a state has covariance C = (L Lᵀ)⁻¹ of its own block, and follows the next with the gain
-    G = -L⁻ᵀ Bᵀ, B the block below: P = C + G P_next Gᵀ, the smoother's recursion.
-    """
-    inverse = np.linalg.inv(diagonal)
-    own = np.swapaxes(inverse, 1, 2) @ inverse
-    gains = -np.swapaxes(below @ inverse[:-1], 1, 2)
-    result = _recursion_as_triangle(own, gains) if own.shape[1] <= _SMALL_STATE else _recursion(own, gains)
-    return np.asarray((result + np.swapaxes(result, 1, 2)) / 2)
 
 
 def _recursion(own: Array, gains: Array) -> Array:

@@ -116,7 +116,11 @@ class LinearSystem:
             present = self.present[k]
             if present.any():
                 rows = np.vstack([rows, self.observation[present] @ motion])
-                null = _null_space(rows)
+                scale = np.linalg.norm(rows, axis=0)
+                scale = np.where(scale > 0, scale, 1.0)
+                _, values, directions = np.linalg.svd(rows / scale)
+                rank = int(np.sum(values > _RANK * values[0])) if len(values) else 0
+                null = np.asarray(directions[rank:])
                 if not null.size:
                     break
             if k + 1 < end:
@@ -255,14 +259,6 @@ def _first_states(state: Information, smoothed: Gaussian, system: LinearSystem, 
     mean = own @ state.vector + gain @ (smoothed.mean - system.controls[k])
     covariance = own + gain @ smoothed.covariance @ gain.T
     return Gaussian(mean, (covariance + covariance.T) / 2)
-
-
-def _null_space(rows: Array) -> Array:
-    scale = np.linalg.norm(rows, axis=0)
-    scale = np.where(scale > 0, scale, 1.0)
-    _, values, directions = np.linalg.svd(rows / scale)
-    rank = int(np.sum(values > _RANK * values[0])) if len(values) else 0
-    return np.asarray(directions[rank:])
 
 
 @dataclass(frozen=True)

@@ -27,7 +27,7 @@ from camcal.estimate.smoothing.batch import (
     solve_batch,
 )
 from camcal.estimate.smoothing.linear_system import LinearSystem, MotionModel, Smoothed, kalman_filter, rts
-from camcal.estimate.smoothing.tuning import (
+from camcal.estimate.smoothing.series import (
     KnownSmootherNoise,
     SmootherNoise,
     likeliest_noise,
@@ -86,9 +86,14 @@ class PoseProblem:
         segments = np.zeros(len(poses)) if poses.segments is None else poses.segments
         measured = np.zeros(len(everything), bool)
         measured[rows] = True
+        # rotations turn evenly between measured ones
+        after = np.minimum(before + 1, len(poses) - 1)
+        span = poses.stamps[after] - poses.stamps[before]
+        share = np.clip((everything - poses.stamps[before]) / np.where(span > 0, span, 1.0), 0.0, 1.0)
+        turn = so3.log(poses.rotations[after] @ np.swapaxes(poses.rotations[before], 1, 2))
         return cls(
             everything,
-            _interpolated(poses, everything, before),
+            np.asarray(so3.exp(share[:, None] * turn) @ poses.rotations[before]),
             translations=poses.translations[before],
             covariances=measured_covariances(poses, sigma)[before],
             measured=measured,
@@ -154,15 +159,6 @@ def measured_covariances(poses: Trajectory, sigma: tuple[float, float] | None) -
     if poses.covariances is not None and sigma is None:
         return poses.covariances
     return np.tile(np.diag(np.repeat(np.square(sigma or (1.0, 1.0)), 3)), (len(poses), 1, 1))
-
-
-def _interpolated(poses: Trajectory, stamps: Array, before: Array) -> Array:
-    """Return rotations (M, 3, 3) at stamps, turning evenly between measured ones."""
-    after = np.minimum(before + 1, len(poses) - 1)
-    span = poses.stamps[after] - poses.stamps[before]
-    share = np.clip((stamps - poses.stamps[before]) / np.where(span > 0, span, 1.0), 0.0, 1.0)
-    turn = so3.log(poses.rotations[after] @ np.swapaxes(poses.rotations[before], 1, 2))
-    return np.asarray(so3.exp(share[:, None] * turn) @ poses.rotations[before])
 
 
 @dataclass(frozen=True)
@@ -242,7 +238,9 @@ def _noise(problem: PoseProblem, options: PosesOptions, known: bool) -> tuple[Pa
     """
     if options.q is not None and known:
         return options.q, (1.0, 1.0)
-    measured = {"translations": problem.translations, "rotations": _way_of(problem.rotations)}
+    # the turns from one rotation to the next, summed up: enough to see their noise
+    turns = so3.log(problem.rotations[1:] @ np.swapaxes(problem.rotations[:-1], 1, 2))
+    measured = {"translations": problem.translations, "rotations": np.vstack([np.zeros(3), np.cumsum(turns, axis=0)])}
     guesses = [_guess(problem, values, known, name) for name, values in measured.items()]
     start = problem.with_noise(
         (guesses[0].q, guesses[1].q), (1.0, 1.0) if known else (guesses[0].sigma, guesses[1].sigma)
@@ -263,12 +261,6 @@ def _guess(problem: PoseProblem, values: Array, known: bool, what: str) -> Smoot
     sigma = measured_noise(values, len(problem.motion.states) + 1, what)
     q = strength(problem.motion, problem.stamps[problem.measured], sigma)
     return SmootherNoise(q, 1.0 if known else sigma)
-
-
-def _way_of(rotations: Array) -> Array:
-    """Return the turns from one rotation to the next, summed up (K, 3): enough to see their noise."""
-    turns = so3.log(rotations[1:] @ np.swapaxes(rotations[:-1], 1, 2))
-    return np.vstack([np.zeros(3), np.cumsum(turns, axis=0)])
 
 
 def _settled(problem: PoseProblem, guess: PoseGuess, means_of: Callable[[LinearSystem], Array]) -> PoseGuess:

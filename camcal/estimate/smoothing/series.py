@@ -1,22 +1,211 @@
-"""Numbers measured over time, smoothed: positions in one, two or three axes that move independently."""
+"""Numbers measured over time, smoothed: positions in one, two or three axes that move independently.
 
+Noise that is not known is estimated by maximum likelihood, for poses as well.
+"""
+
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from camcal.arrays import Array, FloatArray, readonly
 from camcal.brief import Brief
-from camcal.errors import InsufficientData, InvalidInput
-from camcal.estimate.smoothing.batch import MeasurementFit, require_size, smooth_system
-from camcal.estimate.smoothing.linear_system import LinearSystem, MotionModel, kalman_filter, rts
-from camcal.estimate.smoothing.tuning import (
-    KnownSmootherNoise,
-    SmootherNoise,
-    likeliest_noise,
-    measured_noise,
-    strength,
-    with_noise,
+from camcal.errors import InsufficientData, InvalidInput, NotConverged
+from camcal.estimate.smoothing.batch import (
+    BatchSolution,
+    MeasurementFit,
+    disagreement,
+    huber,
+    invertible,
+    is_outlier,
+    require_size,
+    robust_weights,
+    smooth_system,
+    solve_batch,
+    squared_residuals,
 )
+from camcal.estimate.smoothing.linear_system import LinearSystem, MotionModel, kalman_filter, rts
+
+_DECADES = 5  # how far from the initial value noise is searched for, to either side
+_TOLERANCE = 0.01  # of a logarithm: 1 % of q, less than any series tells
+_ROUGH = 0.1  # the same where a better search follows
+_ROUNDS = 2
+_LEAST = 1e-50  # of a difference that tells of noise: the square of less is next to none
+_NEARLY_SETTLED = 5e-3  # of a weight: enough to compare noises
+
+
+_TOO_FEW = "too few {}, or none with noise, to estimate it; set --sigma and --q"
+
+
+@dataclass(frozen=True)
+class SmootherNoise:
+    """Strength of the process noise, and standard deviation of the measurements."""
+
+    q: float
+    sigma: float
+
+
+@dataclass(frozen=True)
+class KnownSmootherNoise:
+    """What is known of noise; None: the most likely is wanted."""
+
+    q: float | None
+    sigma: float | None
+
+    def completed(self, guess: SmootherNoise) -> SmootherNoise:
+        """Return the noise with what is not known taken from a guess."""
+        return SmootherNoise(guess.q if self.q is None else self.q, guess.sigma if self.sigma is None else self.sigma)
+
+
+def likeliest_noise(
+    system: LinearSystem, known: KnownSmootherNoise, guess: SmootherNoise, robust: bool = False
+) -> SmootherNoise:
+    """Return the noise under which the measurements were most likely.
+
+    system: with process noise of q = 1, and measurement noise of sigma = 1. robust: q is found by Huber's loss first,
+    with the guess of sigma, and then both without the outliers.
+    Raises NotConverged if there is no largest likelihood near the guess.
+    """
+    if not robust:
+        return _search(system, known, guess)
+    sigma = known.completed(guess).sigma
+    found = _search(system, KnownSmootherNoise(known.q, sigma), guess, robust=True)
+    for _ in range(_ROUNDS):
+        noisy = with_noise(system, found)
+        weights = robust_weights(noisy)
+        states = solve_batch(invertible(noisy.weighted(weights))).smoothed()
+        outliers = is_outlier(disagreement(noisy, weights, states), system.present.sum(axis=1))
+        found = _search(system.without(outliers), known, SmootherNoise(found.q, guess.sigma))
+    return found
+
+
+def with_noise(system: LinearSystem, noise: SmootherNoise) -> LinearSystem:
+    """Return a system of unit noise with this noise."""
+    return replace(system, process=noise.q * system.process, noise=noise.sigma**2 * system.noise)
+
+
+def _search(
+    system: LinearSystem, known: KnownSmootherNoise, guess: SmootherNoise, robust: bool = False
+) -> SmootherNoise:
+    guess = known.completed(guess)
+    free = [name for name in ("q", "sigma") if getattr(known, name) is None]
+    if not free:
+        return guess
+    if len(free) == 2 and not robust:
+        return _search_ratio(system, guess)
+    likelihood = _HuberLikelihood(len(system)) if robust else log_likelihood
+
+    def noise(numbers: Array) -> SmootherNoise:
+        return replace(guess, **dict(zip(free, map(float, numbers), strict=True)))
+
+    start = np.array([getattr(guess, name) for name in free])
+    return noise(
+        most_likely(
+            lambda numbers: likelihood(with_noise(system, noise(numbers))), start, _ROUGH if robust else _TOLERANCE
+        )
+    )
+
+
+def _search_ratio(system: LinearSystem, guess: SmootherNoise) -> SmootherNoise:
+    """Return the most likely noise where neither number is known: at a ratio q / σ² the best σ² is known."""
+
+    def solved(ratio: float) -> BatchSolution:
+        return solve_batch(invertible(with_noise(system, SmootherNoise(ratio, 1.0))))
+
+    def likelihood(numbers: Array) -> float:
+        found = solved(float(numbers[0]))
+        if found.degrees_of_freedom < 1 or not found.squares > 0:
+            raise InsufficientData(_TOO_FEW.format("measurements"))
+        gained = found.squares - found.degrees_of_freedom * np.log(found.squares / found.degrees_of_freedom)
+        return found.log_likelihood + 0.5 * float(gained)
+
+    ratio = float(most_likely(likelihood, np.array([guess.q / guess.sigma**2]))[0])
+    best = solved(ratio)
+    variance = best.squares / best.degrees_of_freedom
+    return SmootherNoise(ratio * variance, float(np.sqrt(variance)))
+
+
+def log_likelihood(system: LinearSystem) -> float:
+    """Return the logarithm of the density of the measurements, up to a constant, states integrated out."""
+    return solve_batch(invertible(system)).log_likelihood
+
+
+class _HuberLikelihood:
+    """The same where noise has Huber's density, integrated by Laplace's approximation.
+
+    The weights of one system are where the search for those of the next begins, which saves half of it.
+    """
+
+    def __init__(self, count: int) -> None:
+        self.weights = np.ones(count)
+
+    def __call__(self, system: LinearSystem) -> float:
+        system = invertible(system)
+        weights = self.weights = robust_weights(system, self.weights, _NEARLY_SETTLED)
+        solution = solve_batch(system.weighted(weights))
+        squares = squared_residuals(system, solution.means)
+        present = system.present
+        pulled = weights * squares - huber(present.shape[1]).cost(squares)
+        return solution.log_likelihood + 0.5 * float(np.sum(pulled - present.sum(axis=1) * np.log(weights)))
+
+
+def most_likely(likelihood: Callable[[Array], float], guess: Array, tolerance: float = _TOLERANCE) -> Array:
+    """Return the positive numbers (p,) under which `likelihood` is largest, the first of them searched widest.
+
+    guess: (p,), to be right within a factor of 100 000. tolerance: of their logarithms. Raises NotConverged.
+    Source: Nelder and Mead 1965, from the best of a grid of the first number, on logarithms.
+    """
+    from scipy.optimize import minimize
+
+    def cost(logarithms: Array) -> float:
+        try:
+            return -likelihood(np.exp(logarithms))
+        except (InsufficientData, NotConverged):  # noise so strong or weak that rounding hides what was measured
+            return np.inf
+
+    reach = _DECADES * np.log(10)
+    start = np.log(guess)
+    grid = [start + np.eye(len(start))[0] * offset for offset in np.linspace(-reach, reach, 11)]
+    start = min(grid, key=cost)
+    bounds = [(value - reach, value + reach) for value in start]
+    simplex = np.vstack([start, start + np.eye(len(start))])
+    with np.errstate(invalid="ignore"):  # infinite costs are subtracted where none of the numbers will do
+        found = minimize(
+            cost,
+            start,
+            method="Nelder-Mead",
+            bounds=bounds,
+            options={"xatol": tolerance, "fatol": tolerance, "initial_simplex": simplex, "maxfev": 400},
+        )
+    if not found.success:
+        raise NotConverged("noise cannot be estimated from the measurements: set --q and --sigma")
+    return np.asarray(np.exp(found.x))
+
+
+def measured_noise(values: Array, order: int, what: str = "measurements") -> float:
+    """Return an initial value of the standard deviation of measurements (K, d) that move as smoothly as `order` says.
+
+    It is that of differences so often repeated that motion hardly shows in them. Raises InsufficientData if there are
+    too few, or if they hold no noise; `what` they are is said then.
+    """
+    from math import comb
+
+    gain = np.sqrt(comb(2 * order, order))  # of a difference of this order
+    deviations = []
+    for column in values.T:
+        differences = np.abs(np.diff(column[np.isfinite(column)], order))
+        differences = differences[differences > _LEAST]
+        if len(differences):
+            deviations.append(np.median(differences) / (0.6745 * gain))
+    if not deviations:
+        raise InsufficientData(_TOO_FEW.format(what))
+    return float(np.max(deviations))
+
+
+def strength(motion: MotionModel, stamps: Array, sigma: float) -> float:
+    """Return an initial value of q: over ten steps the motion's noise is as large as that of the measurements."""
+    span = 10 * np.median(np.diff(stamps), keepdims=True)
+    return float(sigma**2 / motion.noise(span)[0, 0, 0])
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,9 +11,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.estimate.tracking.free_motion import MotionState, ObjectPlane
+from camcal.estimate.tracking.frames import frame_minima
+from camcal.estimate.tracking.measurements import ObjectPlane
+from camcal.estimate.tracking.motion import MotionState
 from camcal.estimate.tracking.pixel_batch import Chains, solved, spread_of
-from camcal.estimate.tracking.pixel_costs import minimised
 from camcal.estimate.tracking.process_noise import NoiseFit
 from camcal.geometry import rotation as so3
 
@@ -159,13 +160,14 @@ def _trials(found: NoiseFit, flat: ObjectPlane) -> _Trials | None:
     track = found.track
     chains = track.chains
     rotations, translations = track.poses
-    least = minimised(chains.frames, *flat.mirrored(rotations, translations))[2]
-    own = minimised(chains.frames, rotations, translations)[2]
+    least = frame_minima(chains.frames, *flat.mirrored(rotations, translations))
+    own = frame_minima(chains.frames, rotations, translations)
     worse = np.where(chains.used, least - own, 0.0)
     runs = _runs(_cuts(found, flat), worse, len(own))
     if not runs:
         return None
-    bounds = _chain_bounds(chains)
+    breaks = np.flatnonzero(~chains.linked) + 1
+    bounds = np.concatenate([[0], breaks, [len(chains.used)]])
     windows = np.array([_window(run, bounds) for run in runs])
     rows = np.concatenate([np.arange(first, last) for first, last in windows])
     offsets = np.concatenate([[0], np.cumsum(windows[:, 1] - windows[:, 0])])
@@ -214,11 +216,6 @@ def _runs(cuts: Array, worse: Array, count: int) -> list[tuple[int, int]]:
             break
         kept.append(run)
     return kept
-
-
-def _chain_bounds(chains: Chains) -> Array:
-    breaks = np.flatnonzero(~chains.linked) + 1
-    return np.concatenate([[0], breaks, [len(chains.used)]])
 
 
 def _window(run: tuple[int, int], bounds: Array) -> tuple[int, int]:

@@ -14,16 +14,9 @@ from typing import NamedTuple
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.estimate.tracking.free_motion import (
-    POSE,
-    DescentResults,
-    FreeMotion,
-    MotionState,
-    ObjectPlane,
-    descended,
-    difference,
-)
-from camcal.estimate.tracking.pixel_costs import FrameCosts, minimised
+from camcal.estimate.tracking.frames import DescentResults, FrameCosts, descend_frame, frame_minima
+from camcal.estimate.tracking.measurements import ObjectPlane
+from camcal.estimate.tracking.motion import POSE, FreeMotion, MotionState, difference
 from camcal.geometry import rotation as so3
 
 MOST = 10  # hypotheses that are kept
@@ -105,7 +98,7 @@ class WrongFrames(NamedTuple):
     def of(cls, frames: FrameCosts, candidates: Candidates, unknown: Array) -> "WrongFrames":
         """Return that of frames, by the first pose of each."""
         single = candidates.rotations[:, 0], candidates.translations[:, 0]
-        return cls(minimised(frames, *single)[2], frames.linearised(*single, _BLUNT)[2], unknown)
+        return cls(frame_minima(frames, *single), frames.linearised(*single, _BLUNT)[2], unknown)
 
     def costs_at(self, frame: int, forecast: Array) -> Array:
         """Return the costs (K) of a frame by covariances (K, 6, 6) of forecasts.
@@ -297,15 +290,14 @@ def _starts(expected: Hypotheses, allowed: tuple[Array, Array]) -> MotionState:
 
 
 def _descended(expected: Hypotheses, frame: FrameCosts, starts: MotionState, jitter_std: Array) -> DescentResults:
-    return descended(frame, expected.states, expected.covariances[:, POSE, POSE] + jitter_std, starts)
+    return descend_frame(frame, expected.states, expected.covariances[:, POSE, POSE] + jitter_std, starts)
 
 
 def _children(expected: Hypotheses, ends: DescentResults, jitter_std: Array) -> Hypotheses:
     """Return the hypotheses that distinct ends make."""
     spread = expected.covariances[ends.parents]
     whole = spread[:, POSE, POSE] + jitter_std
-    informed = ends.curvatures + ends.slopes.swapaxes(-1, -2) @ np.linalg.inv(whole) @ ends.slopes
-    own = ends.slopes @ np.linalg.inv(informed) @ ends.slopes.swapaxes(-1, -2)  # of the step from the forecast
+    own = ends.slopes @ np.linalg.inv(ends.normal) @ ends.slopes.swapaxes(-1, -2)  # of the step from the forecast
     gain = np.linalg.solve(whole, spread[:, POSE]).swapaxes(-1, -2)
     change = (gain @ ends.steps[..., None])[..., 0]
     after = spread - gain @ (whole - own) @ gain.swapaxes(-1, -2)
@@ -326,7 +318,7 @@ def _surprises(whole: Array, ends: DescentResults) -> Array:
     """Return the innovations (E, 6), whitened: at the end both pulls balance, and S = P + H⁻¹ for ν = S P⁻¹ d."""
     pull = np.linalg.solve(whole, ends.steps[..., None])
     prior = ends.slopes.swapaxes(-1, -2) @ np.linalg.inv(whole) @ ends.slopes
-    measured = ends.slopes @ np.linalg.inv(ends.curvatures + _UNSEEN * prior) @ ends.slopes.swapaxes(-1, -2)
+    measured = ends.slopes @ np.linalg.inv(ends.normal - (1 - _UNSEEN) * prior) @ ends.slopes.swapaxes(-1, -2)
     scale = np.sqrt(np.diagonal(whole + measured, axis1=-2, axis2=-1))
     root = np.linalg.cholesky((whole + measured) / (scale[:, :, None] * scale[:, None, :]))
     return np.asarray((root.swapaxes(-1, -2) @ (scale[..., None] * pull))[..., 0])

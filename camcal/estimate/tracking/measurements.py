@@ -1,6 +1,6 @@
-"""Poses of single frames as a track is given them, and when a frame belongs to it.
+"""Poses of single frames as a track is given them, when a frame belongs to it, and the plane of the object.
 
-A frame allows several poses where a plane leaves a doubt.
+A frame allows several poses where a plane leaves a doubt: the one seen is reflected across the line of sight.
 """
 
 from collections.abc import Iterator, Sequence
@@ -14,6 +14,8 @@ from camcal.arrays import Array, FloatArray, readonly
 from camcal.errors import InvalidInput
 from camcal.estimate.poses.records import Alternative
 from camcal.estimate.smoothing.kalman import gate
+from camcal.estimate.tracking.motion import MotionState
+from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
 
 LEAST = 3  # detections of a piece: two fix a velocity, the third tells whether it holds
@@ -120,3 +122,57 @@ class GateOptions:
     def gate(self) -> float:
         """The bound of χ² of a pose."""
         return gate(_DEGREES, self.confidence)
+
+
+@dataclass(frozen=True)
+class ObjectPlane:
+    """The plane of an object: its normal (3,) and middle (3,)."""
+
+    normal: Array
+    middle: Array
+
+    @classmethod
+    def of_points(cls, points: Array) -> "ObjectPlane | None":
+        """Return the plane of points (N, 3), None if they are in none."""
+        points = np.unique(points, axis=0)
+        middle = points.mean(axis=0)
+        _, spreads, axes = np.linalg.svd(points - middle, full_matrices=False)
+        return cls(axes[2], middle) if spreads[2] < 0.05 * spreads[1] else None
+
+    @classmethod
+    def of_mirrored(cls, measurements: "PoseMeasurements") -> "ObjectPlane | None":
+        """Return the plane z = 0 of an object whose second poses are the first ones mirrored, None of another."""
+        two = np.isfinite(measurements.penalties[:, 1:2]).any(axis=1)
+        if not two.any():
+            return None
+        flat = cls(np.array([0.0, 0.0, 1.0]), np.zeros(3))
+        first, second = measurements.rotations[two, 0], measurements.rotations[two, 1]
+        mirrored, _ = flat.mirrored(first, measurements.translations[two, 0])
+        off, apart = so3.angle_between(mirrored, second), so3.angle_between(first, second)
+        return flat if np.median(off) < np.median(apart) / 2 else None
+
+    def sight(self, rotations: Array, translations: Array) -> Array:
+        """Return the unit directions (N, 3) from the camera to the middle."""
+        seen = rotations @ self.middle + translations
+        return np.asarray(seen / np.linalg.norm(seen, axis=-1, keepdims=True))
+
+    def tilt(self, rotations: Array, translations: Array) -> Array:
+        """Return the angles (N) between the normal and the line of sight, rad."""
+        cosine = np.abs((self.sight(rotations, translations) * (rotations @ self.normal)).sum(axis=-1))
+        return np.asarray(np.arccos(np.clip(cosine, 0, 1)))
+
+    def mirrored(self, rotations: Array, translations: Array) -> tuple[Array, Array]:
+        """Return the mirrored poses: the plane reflected across the line of sight."""
+        sight = self.sight(rotations, translations)
+        across = np.eye(3) - 2 * sight[:, :, None] * sight[:, None, :]
+        turned = across @ rotations @ (np.eye(3) - 2 * np.outer(self.normal, self.normal))
+        return turned, translations + (rotations - turned) @ self.middle
+
+    def mirrored_states(self, states: MotionState) -> MotionState:
+        """Return the mirrored poses of states, turning the way that mirrored motions turn."""
+        sight = self.sight(states.rotations, states.translations)[:, None]
+        rates = states.rates.copy()
+        turning = rates[..., 3:]
+        # a reflection by I - 2 v vᵀ takes ω to -(I - 2 v vᵀ) ω: a turn about the line of sight stays
+        rates[..., 3:] = 2 * sight * (turning * sight).sum(axis=-1, keepdims=True) - turning
+        return MotionState(*self.mirrored(states.rotations, states.translations), rates)

@@ -1,8 +1,8 @@
 """Batch estimation of the motion from the pixels of all frames, with covariances and evidence.
 
-Frames of one chain are linked by free motion; chains stand one after another in one block-tridiagonal system, and
-Levenberg's damping goes chain by chain, so that many variants of a stretch of a track are solved in one go. Where a
-carrier vibrates, the pose of a frame is that of the smooth motion and a shake of its own: pixels see the shaken pose.
+Frames of one chain are linked by free motion; chains stand one after another in one block-tridiagonal system, and the
+solver's rules of damping hold chain by chain, so that many variants of a stretch of a track are solved in one go. Where
+a carrier vibrates, the pose of a frame is that of the smooth motion and a shake of its own: pixels see the shaken pose.
 Source: Barfoot, State Estimation for Robotics, 2017, sections 4.3 and 5.3; MacKay, Bayesian interpolation, 1992 (noise
 from the evidence).
 """
@@ -14,12 +14,13 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.errors import InsufficientData
-from camcal.estimate.tracking.free_motion import POSE, FreeMotion, MotionState, difference
-from camcal.estimate.tracking.pixel_costs import FrameCosts
+from camcal.estimate.tracking.frames import FrameCosts
+from camcal.estimate.tracking.motion import POSE, FreeMotion, MotionState, difference
 from camcal.geometry import rotation as so3
+from camcal.solve.descent import Stopping
 from camcal.solve.steps import TridiagonalFactor, factorise_tridiagonal
 
-_ITERATIONS = 60
+_STOPPING = Stopping(iterations=60, damping=1e-6, rise=30.0, by_gain=False, most=1e3)
 _SETTLED = 1e-3  # decrease of a chain's cost that is below which no step is made
 _LOOSENED = (1e-9, 1e-6, 1e-3, 1.0)  # damping against rounding
 _TEMPERATURES = (100.0, 30.0, 10.0, 3.0, 1.0)
@@ -130,7 +131,7 @@ def solved(
     chains: Chains,
     motion: FreeMotion,
     start: MotionState,
-    iterations: int = _ITERATIONS,
+    iterations: int = _STOPPING.iterations,
     pulls: Array | None = None,
 ) -> BatchTrack:
     """Return the likeliest states from a start and pulls (M, 6) there, None to find them out first.
@@ -142,10 +143,11 @@ def solved(
     if pulls is None:
         pulls = _first_pulls(chains, states)
     terms = _linearised(chains, motion, links, states, pulls, start)
-    damping = np.full(len(terms.costs), 1e-6)
+    damping = np.full(len(terms.costs), _STOPPING.damping)
     going = np.ones(len(terms.costs), dtype=bool)
     for _ in range(iterations):
-        step = _step(terms, damping[chains.judged], going[chains.judged])
+        step = -_factor(terms, damping[chains.judged]).solve(terms.gradient)
+        step = np.where(going[chains.judged][:, None], step, 0.0)
         moved = states.moved(step)
         pulled = _pulled(chains, pulls, step, terms)
         tried = _linearised(chains, motion, links, moved, pulled, start)
@@ -160,8 +162,10 @@ def solved(
         )
         pulls = np.where(row[:, None], pulled, pulls)
         terms = _mixed(terms, tried, better, chains)
-        damping = np.clip(np.where(better, damping * 0.1, damping * 30), 1e-9, 1e9)
-        going = np.where(better, gained > _SETTLED, damping < 1e3) & going
+        damping = np.where(
+            better, _STOPPING.eased(damping, 0.0, gained), np.where(going, _STOPPING.raised(damping, 1.0), damping)
+        )
+        going &= np.where(better, gained > _SETTLED, damping < _STOPPING.most)
         if not going.any():
             break
     return _judged(chains, motion, links, states, pulls, terms)
@@ -234,11 +238,6 @@ def _linearised(
     every = np.arange(size)
     blocks[:, every, every] += chains.anchors
     return _Terms(chains.sums(cost), total, blocks, beside, gradient, curvature)
-
-
-def _step(terms: _Terms, damping: Array, going: Array) -> Array:
-    step = -_factor(terms, damping).solve(terms.gradient)
-    return np.where(going[:, None], step, 0.0)
 
 
 def _factor(terms: _Terms, damping: Array) -> TridiagonalFactor:

@@ -15,13 +15,12 @@ from camcal.errors import InsufficientData
 from camcal.estimate.poses.records import Correspondences
 from camcal.estimate.tracking import hypotheses, process_noise
 from camcal.estimate.tracking.flips import FAR, Searched, searched
-from camcal.estimate.tracking.free_motion import POSE, FreeMotion, MotionState, ObjectPlane, difference
+from camcal.estimate.tracking.frames import FrameCosts, PixelFrames
 from camcal.estimate.tracking.hypotheses import BEGUN, MEASURED, Candidates, Forward, Hypotheses
-from camcal.estimate.tracking.jitter import JitterStd
-from camcal.estimate.tracking.measurements import LEAST, PoseMeasurements
+from camcal.estimate.tracking.measurements import LEAST, ObjectPlane, PoseMeasurements
+from camcal.estimate.tracking.motion import POSE, FreeMotion, MotionState, difference
 from camcal.estimate.tracking.pixel_batch import Chains
-from camcal.estimate.tracking.pixel_costs import FrameCosts, PixelFrames
-from camcal.estimate.tracking.process_noise import NoiseFit, ProcessNoise
+from camcal.estimate.tracking.process_noise import JitterStd, NoiseFit, ProcessNoise
 from camcal.geometry import rotation as so3
 
 _START_TRANSLATION, _START_ROTATION = 0.3, 10.0  # initial value: m²/s³ of an object 1 m away (by its square), rad²/s³

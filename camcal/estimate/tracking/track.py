@@ -12,12 +12,11 @@ from camcal.errors import InsufficientData, InvalidInput
 from camcal.estimate.poses.records import Correspondences
 from camcal.estimate.smoothing.kalman import AMBIGUOUS, Consistency, consistency, successive
 from camcal.estimate.tracking.flips import FAR
-from camcal.estimate.tracking.free_motion import FreeMotion, ObjectPlane
-from camcal.estimate.tracking.jitter import Jitter, JitterStd, jitter
-from camcal.estimate.tracking.measurements import LEAST, FramePose, GateOptions, PoseMeasurements
+from camcal.estimate.tracking.frames import PoseFrames
+from camcal.estimate.tracking.measurements import LEAST, FramePose, GateOptions, ObjectPlane, PoseMeasurements
+from camcal.estimate.tracking.motion import FreeMotion
 from camcal.estimate.tracking.pixel_track import PixelTrack, follow_frames, pixel_frames, usual_distance
-from camcal.estimate.tracking.pose_costs import PoseFrames, mirror_plane
-from camcal.estimate.tracking.process_noise import ProcessNoise
+from camcal.estimate.tracking.process_noise import Jitter, JitterStd, ProcessNoise, jitter
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose, inverse_jacobian
 from camcal.messages import Message
@@ -157,7 +156,7 @@ def track_poses(
     followed = follow_frames(
         PoseFrames.of(measurements, unknown, options.following.gate),
         measurements,
-        mirror_plane(measurements),
+        ObjectPlane.of_mirrored(measurements),
         noise=options.noise,
         lag=options.lag,
         max_gap=options.following.max_gap,
@@ -185,7 +184,7 @@ def track_views(
     followed = follow_frames(
         frames,
         measurements,
-        ObjectPlane.of(frames),
+        ObjectPlane.of_points(frames.points[frames.there]),
         sigma=None if noise_px else sigma,
         noise=options.noise,
         lag=options.lag,
@@ -209,17 +208,6 @@ def require_found(poses: Sequence[FramePose | None]) -> None:
         raise InsufficientData(f"found in {found} of {len(poses)} frames (minimum {LEAST})")
 
 
-def no_track(poses: Sequence[FramePose | None]) -> InsufficientData:
-    """Return the error of detections of which no few make a piece."""
-    found = sum(pose is not None for pose in poses)
-    return InsufficientData(f"no {LEAST} of {found} detections are successive: check time stamps and --max-gap")
-
-
-def at_poses(posed: Array, values: Array) -> Array:
-    """Return values (N, …) of frames, NaN where there is no pose."""
-    return np.where(posed.reshape(-1, *(1,) * (values.ndim - 1)), values, np.nan)
-
-
 def common_part(poses: Sequence[FramePose | None]) -> Array:
     """Return the part (N, 6, 6) of the covariances that frames share, of the nearest detection where there is none."""
     places = np.array([index for index, pose in enumerate(poses) if pose is not None])
@@ -240,7 +228,8 @@ def _assembled(
 ) -> Track:
     segments = _pieces(followed, measurements.stamps, options.following.max_gap)
     if (segments < 0).all():
-        raise no_track(poses)
+        found = sum(pose is not None for pose in poses)
+        raise InsufficientData(f"no {LEAST} of {found} detections are successive: check time stamps and --max-gap")
     present, inside = measurements.present, segments >= 0
     used = followed.used & inside
     states = np.full(len(present), GAP, dtype=object)
@@ -250,7 +239,7 @@ def _assembled(
         states[inside & ~present] = PREDICTED
     posed = inside & (options.fill | used)
     rotations, translations, velocities, covariances = (
-        at_poses(posed, values)
+        np.where(posed.reshape(-1, *(1,) * (values.ndim - 1)), values, np.nan)
         for values in (followed.rotations, followed.translations, followed.velocities, followed.covariances)
     )
     turns = so3.angle_between(measurements.rotations, np.nan_to_num(rotations)[:, None])

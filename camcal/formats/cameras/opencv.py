@@ -16,12 +16,22 @@ import numpy as np
 from camcal import files
 from camcal.cameras.catalogue import MODELS as LENSES
 from camcal.cameras.catalogue import model_named
-from camcal.cameras.model import OPENCV, Camera
+from camcal.cameras.lens import OPENCV
+from camcal.cameras.model import Camera
 from camcal.errors import InvalidInput
 from camcal.formats.camera_file import CameraEntry, CameraFile, Transform, pose_between
 from camcal.formats.cameras import file_storage
-from camcal.formats.cameras.record import CAMERA, LEFT, RIGHT, CameraFormat, Given, Source, opencv_usage
-from camcal.formats.cameras.values import Values, camera_of
+from camcal.formats.cameras.record import (
+    CAMERA,
+    LEFT,
+    RIGHT,
+    CameraFormat,
+    Given,
+    Source,
+    Values,
+    camera_of,
+    opencv_usage,
+)
 from camcal.formats.documents import Document
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import JOINT

@@ -22,8 +22,17 @@ from camcal.cameras.model import Camera
 from camcal.errors import InvalidInput
 from camcal.formats import emit
 from camcal.formats.camera_file import CameraEntry, CameraFile, Transform, pose_between
-from camcal.formats.cameras.record import CAMERA, LEFT, RIGHT, CameraFormat, Given, Source, opencv_usage
-from camcal.formats.cameras.values import Values, camera_of
+from camcal.formats.cameras.record import (
+    CAMERA,
+    LEFT,
+    RIGHT,
+    CameraFormat,
+    Given,
+    Source,
+    Values,
+    camera_of,
+    opencv_usage,
+)
 from camcal.formats.documents import parse_foreign
 from camcal.formats.native import NAME
 from camcal.geometry import rotation as so3

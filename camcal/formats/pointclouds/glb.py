@@ -16,8 +16,8 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.errors import FileError, InvalidInput
 from camcal.formats.pointclouds.record import MILLIMETRES, PointCloudFile, blocks_of, cloud_of
-from camcal.geometry.axes import rotation_of
-from camcal.raw.colour import encode
+from camcal.geometry.pose import rotation_of
+from camcal.raw.develop import encode
 from camcal.stereo.points.frames import COLOUR, INTENSITY, METRES, NORMAL, POSITION, SIGMA, VertexStream
 
 MAGIC, VERSION = b"glTF", 2
@@ -66,7 +66,7 @@ def write(file: BinaryIO, stream: VertexStream) -> None:
 def _write_points(file: BinaryIO, stream: VertexStream, kind: np.dtype[np.void]) -> tuple[int, Array]:
     """Return the number of points written, and the smallest and largest x, y, z (2, 3)."""
     count, low, high = 0, np.full(3, np.inf, np.float32), np.full(3, -np.inf, np.float32)
-    for block in _interleaved(stream, kind):
+    for block in _interleave(stream, kind):
         file.write(block.data)
         count += len(block)
         for axis, column in enumerate(block["POSITION"].T):
@@ -86,8 +86,10 @@ def _type_of(stream: VertexStream) -> np.dtype[np.void]:
     return np.dtype(fields)
 
 
-def _interleaved(stream: VertexStream, kind: np.dtype[np.void]) -> Iterator[Array]:
-    linear = _linear_counts()
+def _interleave(stream: VertexStream, kind: np.dtype[np.void]) -> Iterator[Array]:
+    value = np.arange(256) / 255  # to linear light: IEC 61966-2-1
+    light = np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
+    linear = np.asarray(np.rint(light * _OPAQUE), np.uint16)
     for block in blocks_of(stream):
         kept = block[np.isfinite(block["x"]) & np.isfinite(block["y"]) & np.isfinite(block["z"])]
         points = np.empty(len(kept), kind)
@@ -98,13 +100,6 @@ def _interleaved(stream: VertexStream, kind: np.dtype[np.void]) -> Iterator[Arra
         if "COLOR_0" in (kind.names or ()):
             points["COLOR_0"][:, 3] = _OPAQUE
         yield points
-
-
-def _linear_counts() -> Array:
-    """Return the linear light, 0 … 65535, of each 8-bit count of sRGB (256,): IEC 61966-2-1."""
-    value = np.arange(256) / 255
-    light = np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
-    return np.asarray(np.rint(light * _OPAQUE), np.uint16)
 
 
 def _description(stream: VertexStream, kind: np.dtype[np.void], count: int, extent: Array) -> bytes:
@@ -217,20 +212,17 @@ def _values(document: Any, index: int, binary: bytes) -> Array:
     needed = start + max(count - 1, 0) * stride + kind.itemsize
     if min(count, start) < 0 or stride < kind.itemsize or needed > len(binary):
         raise FileError(f"{count} points end {needed} bytes into the GLB file's binary part, which has {len(binary)}")
-    return np.ndarray((count, *kind.shape), kind.base, binary, start, (stride, *_steps(kind)))
-
-
-def _steps(kind: np.dtype[Any]) -> tuple[int, ...]:
-    return (kind.base.itemsize,) if kind.shape else ()
+    steps = (stride, kind.base.itemsize) if kind.shape else (stride,)
+    return np.ndarray((count, *kind.shape), kind.base, binary, start, steps)
 
 
 def _srgb(linear: Array) -> Array:
     """Return the 8-bit counts of linear light, 0 … 1 or the full scale of integers."""
     if linear.dtype.kind == "f":
-        return _encoded(linear)
+        return _encode(linear)
     scale = np.iinfo(linear.dtype).max
-    return np.asarray(_encoded(np.arange(scale + 1) / scale)[linear])
+    return np.asarray(_encode(np.arange(scale + 1) / scale)[linear])
 
 
-def _encoded(light: Array) -> Array:
+def _encode(light: Array) -> Array:
     return np.asarray(np.rint(255 * np.clip(encode(np.nan_to_num(light), "srgb"), 0, 1)), np.uint8)

@@ -60,7 +60,7 @@ def write(file: BinaryIO, stream: VertexStream, *, compress: bool) -> None:
     require_laspy()
     laspy: Any = import_module("laspy")
     with TemporaryFile(dir=Path(file.name).parent) as spool:
-        header = _header_of(laspy, stream, _spooled(spool, stream))
+        header = _header_of(laspy, stream, _spool(spool, stream))
         spool.seek(0)
         backend = laspy.LazBackend.Lazrs if compress else None  # the other one starts threads
         with laspy.open(file, mode="w", header=header, laz_backend=backend, closefd=False) as writer:
@@ -70,7 +70,7 @@ def write(file: BinaryIO, stream: VertexStream, *, compress: bool) -> None:
     file.write(bytes(4))  # laspy writes the day; unknown, so that the same cloud is the same bytes
 
 
-def _spooled(spool: BinaryIO, stream: VertexStream) -> Array:
+def _spool(spool: BinaryIO, stream: VertexStream) -> Array:
     """Copy the vertices that have a position; return the smallest and largest x, y, z (2, 3), metres."""
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
     for block in blocks_of(stream):
@@ -129,7 +129,7 @@ def read(content: bytes) -> PointCloudFile:
             columns = _columns(reader)
     except (laspy.LaspyException, *_DAMAGE) as error:
         raise FileError(f"not a readable LAS file ({error})") from error
-    return cloud_of(_filled(columns, words["fields"]), frame=words["frame"], notes=words["notes"])
+    return cloud_of(_fill(columns, words["fields"]), frame=words["frame"], notes=words["notes"])
 
 
 def _columns(reader: Any) -> dict[str, Array]:
@@ -178,7 +178,7 @@ def _words(header: Any) -> dict[str, Any]:
     return {"frame": "", "notes": {}, "fields": None}
 
 
-def _filled(columns: dict[str, Array], fields: list[str] | None) -> dict[str, Array]:
+def _fill(columns: dict[str, Array], fields: list[str] | None) -> dict[str, Array]:
     """Return the columns that mean something: those said to, or those that are not all zero.
 
     Colours that never pass 255 are 8-bit ones, which some programs leave unscaled.

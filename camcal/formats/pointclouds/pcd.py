@@ -49,14 +49,14 @@ def write(file: BinaryIO, stream: VertexStream) -> None:
     """Write a cloud as binary, block by block."""
     kind = _type_of(stream, "<f4")
     file.write(_header_of(stream, kind, "binary"))
-    file.writelines(block.data for block in _packed(stream, kind))
+    file.writelines(block.data for block in _pack(stream, kind))
 
 
 def write_text(file: BinaryIO, stream: VertexStream) -> None:
     """Write a cloud as ASCII, block by block."""
     kind = _type_of(stream, "<u4")
     file.write(_header_of(stream, kind, "ascii"))
-    file.writelines(text_rows(_packed(stream, kind)))
+    file.writelines(text_rows(_pack(stream, kind)))
 
 
 def _type_of(stream: VertexStream, rgb: str) -> np.dtype[np.void]:
@@ -69,7 +69,7 @@ def _type_of(stream: VertexStream, rgb: str) -> np.dtype[np.void]:
     return np.dtype(fields)
 
 
-def _packed(stream: VertexStream, kind: np.dtype[np.void]) -> Iterator[Array]:
+def _pack(stream: VertexStream, kind: np.dtype[np.void]) -> Iterator[Array]:
     for block in blocks_of(stream):
         packed = np.empty(len(block), kind)
         for name in stream.type.names or ():
@@ -107,10 +107,10 @@ def read(content: bytes) -> PointCloudFile:
     Raises FileError if the header or the numbers are not as the format has them.
     """
     lines, start = _header_lines(content)
-    header = _parsed(lines)
+    header = _parse(lines)
     columns = _READERS[header.data](memoryview(content)[start:], header)
     grid = (header.width, header.height) if header.height > 1 else None
-    return replace(from_comments(_unpacked(columns), header.comments), grid=grid)
+    return replace(from_comments(_unpack(columns), header.comments), grid=grid)
 
 
 def _header_lines(content: bytes) -> tuple[list[str], int]:
@@ -124,7 +124,7 @@ def _header_lines(content: bytes) -> tuple[list[str], int]:
     raise FileError("not a PCD file (its header ends with a line DATA)")
 
 
-def _parsed(lines: list[str]) -> _Header:
+def _parse(lines: list[str]) -> _Header:
     words = {line.split()[0]: line.split()[1:] for line in lines if line and not line.startswith("#")}
     data = (words["DATA"] or [""])[0]
     if data not in _READERS:
@@ -164,7 +164,7 @@ def _binary(body: memoryview, header: _Header) -> dict[str, Array]:
     return {name: table[name] for name in header.type.names or ()}
 
 
-def _compressed(body: memoryview, header: _Header) -> dict[str, Array]:
+def _compress(body: memoryview, header: _Header) -> dict[str, Array]:
     """Return the fields, of which each stands as a whole in the compressed data."""
     if len(body) < 8:
         raise FileError(f"compressed PCD data begin with their two sizes, found {len(body)} bytes")
@@ -202,7 +202,7 @@ def _require(found: int, needed: int, header: _Header) -> None:
         raise FileError(f"{header.width} × {header.height} points take {needed} bytes, found {found}")
 
 
-def _unpacked(columns: dict[str, Array]) -> dict[str, Array]:
+def _unpack(columns: dict[str, Array]) -> dict[str, Array]:
     """Return the columns with red, green and blue in the place of rgb."""
     packed = next((columns[name] for name in _PACKED if name in columns), None)
     if packed is None or packed.dtype.itemsize != 4 or packed.ndim != 1:
@@ -212,7 +212,7 @@ def _unpacked(columns: dict[str, Array]) -> dict[str, Array]:
     return columns | {name: (bits >> shift & 255).astype(np.uint8) for name, shift in shifts}
 
 
-_READERS = {"binary": _binary, "binary_compressed": _compressed, "ascii": _text}
+_READERS = {"binary": _binary, "binary_compressed": _compress, "ascii": _text}
 
 
 def lzf_decompressed(packed: bytes, size: int) -> bytearray:

@@ -84,7 +84,7 @@ def read(content: bytes) -> PointCloudFile:
     found = _HEADER.match(content, 0, _LONGEST_HEADER)
     if found is None:
         raise FileError("not a PLY file (it begins with ply and has a line end_header)")
-    header = _parsed(found[0].decode("utf-8", "replace").splitlines())
+    header = _parse(found[0].decode("utf-8", "replace").splitlines())
     names = [element.name for element in header.elements]
     if "vertex" not in names:
         raise FileError("PLY file without vertices")
@@ -94,7 +94,7 @@ def read(content: bytes) -> PointCloudFile:
     return from_comments(table, header.comments)
 
 
-def _parsed(lines: list[str]) -> _Header:
+def _parse(lines: list[str]) -> _Header:
     order = ""
     elements: list[_Element] = []
     comments: list[str] = []

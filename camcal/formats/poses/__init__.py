@@ -21,9 +21,20 @@ from camcal.estimate.poses.records import Alternative
 from camcal.formats import emit
 from camcal.formats.covariance import ORDER, PAIRS, POSITION, QUATERNION, from_upper, names_of_pairs, why_no_covariance
 from camcal.formats.documents import load_either
-from camcal.formats.poses import plain
-from camcal.formats.poses.plain import FORMAT, UNIT_LENGTH, UNITS, VERSION, check_frames, document
-from camcal.formats.poses.record import PixelNoise, PoseKey, PoseRecord, Poses
+from camcal.formats.poses.record import (
+    FORMAT,
+    UNIT_LENGTH,
+    UNITS,
+    VERSION,
+    PixelNoise,
+    PoseKey,
+    PoseRecord,
+    Poses,
+    check,
+    check_frames,
+    document,
+    from_document,
+)
 from camcal.formats.tables import Lines, Table, cell, csv_rows, numbered_lines
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
@@ -71,7 +82,7 @@ def read(path: str | Path) -> Poses:
         require_suffix(path)
     if files.suffix_of(path) == ".csv":
         return _read_csv(path)
-    return plain.from_document(load_either(path, plain.check, _MAX_VALUES))
+    return from_document(load_either(path, check, _MAX_VALUES))
 
 
 def write(path: str | Path, poses: Poses) -> None:

@@ -15,8 +15,8 @@ from camcal.messages import counted
 from camcal.report.figures.figure import COLOUR_MAP, DIVERGING_MAP, WIDTH, Plot, Theme, panel_height
 from camcal.report.figures.image_plane import colour_bar, round_down, scale_of
 from camcal.report.rig_scene import board_outline, frustum
-from camcal.report.uncertain import length_unit
-from camcal.targets.surface import Surface
+from camcal.report.table import length_unit
+from camcal.targets.board import Surface
 
 _RELIEF = 0.25  # of the board's longer side: how high its largest deviation is drawn
 _MOST_RELIEF = 1000.0  # times: what is flatter is drawn flat

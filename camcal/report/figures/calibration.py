@@ -18,7 +18,7 @@ from camcal.report.figures import image_plane
 from camcal.report.figures.board import board_height, board_shape, poses
 from camcal.report.figures.figure import DIVERGING_MAP, WIDTH, Plot, Theme, logarithmic_labels
 from camcal.report.figures.image_plane import colour_bar
-from camcal.report.figures.over_distance import uncertainty_over_distance
+from camcal.report.figures.over_time import uncertainty_over_distance
 
 _BINS = 12  # over radius, of as many corners each
 _LOW, _HIGH = 0.1, 0.9

@@ -13,7 +13,6 @@ from matplotlib.collections import LineCollection
 from matplotlib.colors import Normalize
 from matplotlib.figure import FigureBase
 from matplotlib.ticker import MaxNLocator
-from mpl_toolkits.mplot3d import Axes3D
 from mpl_toolkits.mplot3d.art3d import Line3DCollection
 
 from camcal.arrays import Array
@@ -187,7 +186,11 @@ def in_space(path: DrawnPath) -> Plot:
         if path.reference is not None:
             axes.plot(*(factor * path.reference).T, color=theme.ink, lw=1, ls="--", label="reference")
             everything = np.concatenate([places, factor * path.reference])
-        _draw_frames(axes, places, path.rotations, theme)
+        length = _FRAME * float(np.ptp(places, axis=0).max())
+        chosen = np.unique(np.linspace(0, len(places) - 1, min(len(places), _MOST_FRAMES)).astype(np.intp))
+        for axis, colour in enumerate((theme.series[1], theme.series[2], theme.series[0])):
+            ends = np.stack([places[chosen], places[chosen] + length * path.rotations[chosen, :, axis]], axis=1)
+            axes.add_collection3d(Line3DCollection(list(ends), colors=colour, lw=1))
         equal_aspect(axes, everything)
         for name in _AXES:
             getattr(axes, f"set_{name}label")(f"{name}, {unit}")
@@ -204,14 +207,6 @@ def in_space(path: DrawnPath) -> Plot:
         (WIDTH, 4.4),
         dense=True,
     )
-
-
-def _draw_frames(axes: Axes3D, places: Array, rotations: Array, theme: Theme) -> None:
-    length = _FRAME * float(np.ptp(places, axis=0).max())
-    chosen = np.unique(np.linspace(0, len(places) - 1, min(len(places), _MOST_FRAMES)).astype(np.intp))
-    for axis, colour in enumerate((theme.series[1], theme.series[2], theme.series[0])):
-        ends = np.stack([places[chosen], places[chosen] + length * rotations[chosen, :, axis]], axis=1)
-        axes.add_collection3d(Line3DCollection(list(ends), colors=colour, lw=1))
 
 
 def errors_over_time(path: DrawnPath) -> Plot:

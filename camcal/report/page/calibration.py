@@ -15,10 +15,21 @@ from camcal.quality.assess import Assessment
 from camcal.quality.projection_uncertainty import ProjectionUncertainty
 from camcal.report.calibration import CANDIDATE_COLUMNS, candidate_rows, parameter_rows, summary
 from camcal.report.figures.calibration import calibration_plots
-from camcal.report.page.record import DataBlock, Figure, Page, PageVerdict, Picture, Section, Table
+from camcal.report.page.record import (
+    DataBlock,
+    Figure,
+    Page,
+    PageVerdict,
+    Picture,
+    Section,
+    Table,
+    checks_table,
+    refusal,
+    sentence,
+    verdict,
+)
 from camcal.report.page.thumbnails import MOST, corner_thumbnail, photo_key, pictures, thumbnails
-from camcal.report.page.verdict import checks_table, refusal, sentence, verdict
-from camcal.report.uncertain import (
+from camcal.report.table import (
     held_by_prior_words,
     length_unit,
     number_text,
@@ -27,9 +38,8 @@ from camcal.report.uncertain import (
     value_and_std,
     value_with_std,
 )
-from camcal.targets.board import Board
+from camcal.targets.board import RATIOS, Board, Surface
 from camcal.targets.detection import BoardDetection
-from camcal.targets.surface import RATIOS, Surface
 
 _NOT_IN_IDS = re.compile(r"[^A-Za-z0-9]+")
 _STRONG = 0.9  # correlations that are listed
@@ -199,7 +209,10 @@ def images_section(camera: CalibratedCamera) -> Section:
 
 def _parameters(own: CalibratedCamera, shown: Sequence[Picture]) -> Section:
     calibration, camera = own.calibration, own.calibration.camera
-    rows = [[name, value, std, _unit(name)] for name, value, std in parameter_rows(calibration)]
+    rows = [
+        [name, value, std, ("px" if name in ("fx", "fy", "cx", "cy") else "")]
+        for name, value, std in parameter_rows(calibration)
+    ]
     tables = [Table.of(f"Lens parameters{own.owner}", ("parameter", "value", "± std", "unit"), rows)]
     names = [name for name in camera.model.parameter_names if camera.std(name)]
     if camera.covariance is not None and len(names) > 1:
@@ -221,10 +234,6 @@ def _strongest(own: CalibratedCamera, names: Sequence[str]) -> Table:
     rows = [[f"{one}, {other}", f"{share:+.3f}"] for share, one, other in strong]
     caption = f"Correlations beyond ± {_STRONG:g}" if rows else f"No correlation is beyond ± {_STRONG:g}"
     return Table.of(f"{caption}{own.owner}", ("parameters", "correlation"), rows, folded=True)
-
-
-def _unit(name: str) -> str:
-    return "px" if name in ("fx", "fy", "cx", "cy") else ""
 
 
 def refused_page(

@@ -13,9 +13,8 @@ from camcal.quality.rig_geometry import PairGeometry
 from camcal.report.calibration import CANDIDATE_COLUMNS, candidate_rows
 from camcal.report.figures.rig import joint_plots
 from camcal.report.page.calibration import CalibratedCamera, camera_sections, camera_verdict
-from camcal.report.page.record import BAD, Figure, PageVerdict, Section, Table
+from camcal.report.page.record import BAD, Figure, PageVerdict, Section, Table, sentence, verdict
 from camcal.report.page.thumbnails import pictures
-from camcal.report.page.verdict import sentence, verdict
 from camcal.report.rig import (
     CAMERA_COLUMNS,
     PAIR_COLUMNS,
@@ -25,7 +24,7 @@ from camcal.report.rig import (
     pair_rows,
     transform_rows,
 )
-from camcal.report.uncertain import value_and_std
+from camcal.report.table import value_and_std
 
 _UNITS = ("mm", "mm", "mm", "deg", "deg", "deg")
 _OF_CAPTURES = ("epipolar_errors", "exposure_motion")  # figures beside the table of captures

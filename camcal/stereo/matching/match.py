@@ -13,7 +13,7 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.opencv import remap
-from camcal.raw.planes import Each, one_by_one
+from camcal.raw.tiles import Each, one_by_one
 from camcal.stereo.disparity import Confidence, Disparity
 from camcal.stereo.matching.filling import Filled, everywhere, from_the_background, smoothed, without_spikes
 from camcal.stereo.matching.matchers import (

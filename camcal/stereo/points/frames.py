@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from camcal.arrays import Array
 from camcal.errors import InvalidInput
-from camcal.geometry.axes import CONVENTIONS, change
-from camcal.geometry.pose import Pose
+from camcal.geometry.pose import CONVENTIONS, Pose, change
 from camcal.stereo.geometry import StereoGeometry
 
 POSITION = ("x", "y", "z")

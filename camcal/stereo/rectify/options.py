@@ -5,7 +5,7 @@ from math import isfinite
 from typing import Annotated
 
 from camcal.errors import InvalidInput
-from camcal.images.limits import require_view
+from camcal.images.options import require_view
 from camcal.options import SIZE, Option, OptionsRecord, separated
 
 VIEW = "View"  # title of these options

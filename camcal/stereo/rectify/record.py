@@ -24,7 +24,8 @@ import numpy as np
 from camcal.arrays import Array, FloatArray, readonly
 from camcal.brief import Brief
 from camcal.cameras.catalogue import model_named
-from camcal.cameras.model import Camera, Projection, Rays
+from camcal.cameras.lens import Projection, Rays
+from camcal.cameras.model import Camera
 from camcal.errors import InvalidInput
 from camcal.geometry.pose import Pose
 from camcal.messages import Message

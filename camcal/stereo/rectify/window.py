@@ -11,7 +11,7 @@ import numpy as np
 from camcal.arrays import Array, BoolArray
 from camcal.cameras.validity import pixel_angles
 from camcal.errors import InsufficientData
-from camcal.images.limits import LONGEST_SIDE
+from camcal.images.options import LONGEST_SIDE
 from camcal.stereo.rectify.field import CELLS, CommonField, Directions, Interval, Viewer, extent
 from camcal.stereo.rectify.options import RectifiedViewOptions
 from camcal.stereo.rectify.record import CYLINDRICAL, LATLON, PINHOLE

@@ -26,7 +26,7 @@ from camcal.targets.checker import grid as grids
 from camcal.targets.checker.checker import Checker, clear_corners, trimmed, verified_corners, with_hidden_corners
 from camcal.targets.checker.proposals import proposals
 from camcal.targets.detection import MIN_CORNERS, BoardDetection
-from camcal.targets.markers.families import family_named
+from camcal.targets.pattern import family_named
 
 WRONG_BITS = 12  # one of so many may be read wrong
 BORDER = 0.8  # share of the border's cells that must be dark
@@ -83,20 +83,20 @@ def read_markers(gray: Array, checker: Checker, board: Board) -> MarkerReadings:
     words = cells(board.dictionary or "", board.first_marker, (board.rows + 1) * (board.columns + 1) // 2)
     square, corners = bright_squares(checker)
     share = (board.marker or 0.0) / board.spacing
-    seen, clear = read_bits(gray, corners, share, words.shape[1], checker.contrast)
-    square, seen = square[clear], seen[clear]
+    bits, clear = read_bits(gray, corners, share, words.shape[1], checker.contrast)
+    square, bits = square[clear], bits[clear]
     if not len(square):
         return MarkerReadings(square, np.zeros(0, np.intp), np.zeros(0, np.intp), 0)
-    marker, turn, wrong = nearest(seen, words[:, 1:-1, 1:-1])
-    behind = nearest(seen, words[:, 1:-1, -2:0:-1])[2]
-    known = wrong * WRONG_BITS <= seen[0].size
-    mirrored = int((~known & (behind * WRONG_BITS <= seen[0].size)).sum())
-    return MarkerReadings(square[known], marker[known], turn[known], mirrored)
+    marker, turn, wrong = nearest(bits, words[:, 1:-1, 1:-1])
+    behind = nearest(bits, words[:, 1:-1, -2:0:-1])[2]
+    legible = wrong * WRONG_BITS <= bits[0].size
+    mirrored = int((~legible & (behind * WRONG_BITS <= bits[0].size)).sum())
+    return MarkerReadings(square[legible], marker[legible], turn[legible], mirrored)
 
 
 def board_placement(reading: MarkerReadings, board: Board, legacies: Sequence[bool]) -> BoardPlacement | None:
     """Return where a pattern sits on a ChArUco board by its markers, None where they are too few or at odds."""
-    placements = [one for one in (_elected(reading, board, legacy) for legacy in legacies) if one]
+    placements = [one for one in (_elect(reading, board, legacy) for legacy in legacies) if one]
     most = max((one.votes for one in placements), default=0)
     best = [one for one in placements if one.votes == most]
     return best[0] if len(best) == 1 else None  # markers of a single row fit both patterns
@@ -105,9 +105,7 @@ def board_placement(reading: MarkerReadings, board: Board, legacies: Sequence[bo
 @lru_cache(maxsize=16)
 def cells(dictionary: str, first: int, count: int) -> Array:
     """Return the cells (count, n, n) of markers from the id `first` on, border included, 1 where bright."""
-    words = opencv.marker_dictionary(dictionary)
-    side = words.markerSize + 2
-    return np.stack([words.generateImageMarker(first + marker, side) for marker in range(count)]) / 255.0
+    return family_named(dictionary).printed(range(first, first + count))
 
 
 def bright_squares(checker: Checker) -> tuple[Array, Array]:
@@ -175,23 +173,18 @@ def nearest(seen: Array, bits: Array) -> tuple[Array, Array, Array]:
     return marker, turn, differ[np.arange(len(best)), best]
 
 
-def _elected(reading: MarkerReadings, board: Board, legacy: bool) -> BoardPlacement | None:
+def _elect(reading: MarkerReadings, board: Board, legacy: bool) -> BoardPlacement | None:
     """Return the place that most markers put the pattern in, None if they are at odds."""
-    home = marker_squares(board, legacy=legacy)[reading.marker]
+    row, column = np.indices((board.rows + 1, board.columns + 1))  # of squares, outer ones counted
+    first = 1 if legacy and (board.rows + 1) % 2 == 0 else 0
+    home = np.argwhere((row + column + first) % 2 == 1)[reading.marker]
     turned = np.einsum("sij,sj->si", np.array(TURNS)[reading.turn], reading.square - 0.5)
     moved = np.rint(home - 0.5 - turned).astype(np.intp)
     ranked = Counter(map(tuple, np.column_stack([reading.turn, moved]).tolist())).most_common(2)
     if not ranked or ranked[0][1] < LEAST_VOTES or (len(ranked) > 1 and ranked[0][1] < MAJORITY * ranked[1][1]):
         return None
-    (turn, row, column), votes = ranked[0]
-    return BoardPlacement(turn, row, column, legacy, votes)
-
-
-def marker_squares(board: Board, *, legacy: bool) -> Array:
-    """Return row and column (M, 2) of the squares with markers, outer squares counted, in the order of the markers."""
-    row, column = np.indices((board.rows + 1, board.columns + 1))
-    first = 1 if legacy and (board.rows + 1) % 2 == 0 else 0
-    return np.argwhere((row + column + first) % 2 == 1)
+    (turn, down, right), votes = ranked[0]
+    return BoardPlacement(turn, down, right, legacy, votes)
 
 
 WHITE = np.uint8(255)
@@ -224,12 +217,14 @@ def find_charuco(gray: Array, board: Board) -> BoardDetection:
     Raises InvalidInput if the dictionary is unknown or too small.
     """
     require_markers(board)
-    found, bare = _find(gray, board)
+    detection, bare = _find(gray, board)
     white = np.asarray(WHITE - gray)
-    if found.found or not any(len(read_markers(white, each.inverted, board).marker) >= LEAST_VOTES for each in bare):
-        return found
+    if detection.found or not any(
+        len(read_markers(white, each.inverted, board).marker) >= LEAST_VOTES for each in bare
+    ):
+        return detection
     inverted, _ = _find(white, board)
-    return replace(inverted, inverted=True) if inverted.found else found
+    return replace(inverted, inverted=True) if inverted.found else detection
 
 
 def arrangement_votes(gray: Array, boards: Sequence[Board]) -> IntArray:
@@ -258,15 +253,20 @@ def _find(gray: Array, board: Board) -> tuple[BoardDetection, list[Checker]]:
     best, most = BoardDetection.nothing(f"no marker of {board.dictionary} found"), 0
     bare: list[Checker] = []
     for copy in proposals(gray):
-        parts = [_part(gray, start, board, legacies) for start in copy]
-        grid = _joined(parts, board)
+        checkers = [trimmed(verified_corners(gray, start, clearance(board))) for start in copy]
+        readings = [read_markers(gray, checker, board) for checker in checkers]
+        parts = [
+            _Part(checker, reading, board_placement(reading, board, legacies))
+            for checker, reading in zip(checkers, readings, strict=True)
+        ]
+        grid = _join(parts, board)
         bare += [part.checker for part in parts if not part.markers]
         if grid is None:
             closest = max(parts, key=lambda part: (part.markers, part.corners), default=None)
             if closest is None or best.found:
                 continue
             if closest.markers > max(most, LEAST_VOTES - 1):
-                best, most = _unplaced(closest), closest.markers
+                best, most = _explain_misfit(closest), closest.markers
             elif not most and closest.corners > len(best.refused):
                 best = BoardDetection.nothing(str(best.reason), refused=closest.checker.grid)
             continue
@@ -297,13 +297,7 @@ class _Part:
         return max(len(self.reading.marker), self.reading.mirrored)
 
 
-def _part(gray: Array, start: Array, board: Board, legacies: Sequence[bool]) -> _Part:
-    checker = trimmed(verified_corners(gray, start, clearance(board)))
-    reading = read_markers(gray, checker, board)
-    return _Part(checker, reading, board_placement(reading, board, legacies))
-
-
-def _joined(parts: list[_Part], board: Board) -> Array | None:
+def _join(parts: list[_Part], board: Board) -> Array | None:
     """Return the corners (rows, columns, 2) of all parts of a board that belong together, those of most markers first.
 
     None if no part says where it is.
@@ -328,7 +322,7 @@ def _inside(corners: Array, checker: Checker) -> bool:
     return bool((~np.isnan(corners[..., 0])).sum() >= INSIDE * checker.found.sum())
 
 
-def _unplaced(part: _Part) -> BoardDetection:
+def _explain_misfit(part: _Part) -> BoardDetection:
     """Return why a pattern with markers is not the board."""
     count, mirrored = len(part.reading.marker), part.reading.mirrored
     reason = (

@@ -32,7 +32,7 @@ from camcal.targets.checker.charuco import (
 )
 from camcal.targets.checker.checker import Checker, trimmed, verified_corners
 from camcal.targets.checker.proposals import proposals
-from camcal.targets.markers.families import family_named
+from camcal.targets.pattern import family_named
 
 # The largest of each family: the smaller ones of OpenCV are its first markers
 _SIZES = (50, 100, 250, 1000)
@@ -79,7 +79,10 @@ class CharucoLayout:
     def board(self, like: Board) -> Board:
         """Return the board, with the square of `like`, and its dictionary and its marker where these fit as well."""
         ratio = (like.marker or 0.0) / like.spacing
-        marker = like.marker if abs(ratio - self.ratio) <= _SAME_RATIO else _rounded(self.ratio, like.square)
+        marker = like.marker
+        if abs(ratio - self.ratio) > _SAME_RATIO:  # in the unit of the board, rounded by its uncertainty
+            side = 1e3 * self.ratio * like.spacing
+            marker = round(self.ratio, 2) if like.square is None else float(f"{side:.{_DIGITS}g}") / 1e3
         plain = like.legacy is None or self.rows % 2
         return Board(
             CHARUCO,
@@ -103,13 +106,6 @@ class CharucoLayout:
         return f"{family}{next((size for size in _SIZES if size >= least), _SIZES[-1])}"
 
 
-def _rounded(ratio: float, square: float | None) -> float:
-    """Return a marker's side in the unit of the board, rounded by its uncertainty."""
-    if square is None:
-        return round(ratio, 2)
-    return float(f"{1e3 * ratio * square:.{_DIGITS}g}") / 1e3
-
-
 def search_charuco(gray: Array, like: Board) -> CharucoLayout | None:
     """Return the ChArUco board that `gray`, (H, W) uint8, shows most clearly, None where it shows none.
 
@@ -124,7 +120,7 @@ def _clearest(gray: Array, like: Board) -> CharucoLayout | None:
     for copy in proposals(gray):
         parts = [layouts for start in copy if (layouts := _layouts(gray, start, like.first_marker))]
         best = max(parts, key=lambda layouts: layouts[0].votes, default=())
-        verified = [pair for layout in best if (pair := _verified(gray, layout, like))]
+        verified = [pair for layout in best if (pair := _verify(gray, layout, like))]
         if verified:
             return max(verified, key=lambda pair: (pair[0], is_like(pair[1], like)))[1]
     return None
@@ -140,10 +136,10 @@ def _layouts(gray: Array, start: Array, first: int) -> Sequence[CharucoLayout]:
     ratio = _marker_ratio(gray, corners, checker.contrast)
     if ratio is None:
         return ()
-    found = list(_readings(gray, checker, square, corners, ratio, first))
-    found.sort(key=lambda layouts: -layouts[0].votes)
-    unique = found and (len(found) == 1 or found[1][0].votes <= _RUNNER_UP * found[0][0].votes)
-    return found[0] if unique else ()
+    readings = list(_readings(gray, checker, square, corners, ratio, first))
+    readings.sort(key=lambda layouts: -layouts[0].votes)
+    unique = readings and (len(readings) == 1 or readings[1][0].votes <= _RUNNER_UP * readings[0][0].votes)
+    return readings[0] if unique else ()
 
 
 def _marker_ratio(gray: Array, corners: Array, contrast: float) -> float | None:
@@ -173,54 +169,31 @@ def _readings(
     gray: Array, checker: Checker, square: Array, corners: Array, ratio: float, first: int
 ) -> Iterator[list[CharucoLayout]]:
     """Yield the layouts of most votes by every dictionary that has one; square, corners: see `bright_squares`."""
-    extent = checker.grid.shape[0], checker.grid.shape[1]
-    for bits, names in _by_bits().items():
+    by_bits: dict[int, list[str]] = {}
+    for name in _DICTIONARIES:
+        by_bits.setdefault(family_named(name).bits, []).append(name)
+    for bits, names in by_bits.items():
         seen, clear = read_bits(gray, corners, ratio, bits + 2, checker.contrast)
         for name in names if clear.sum() >= _LEAST_VOTES else ():
             words = cells(name, 0, family_named(name).count)[:, 1:-1, 1:-1]
             marker, turn, wrong = nearest(seen[clear], words)
-            known = wrong * WRONG_BITS <= bits * bits
-            places = _Places(square[clear][known], marker[known], turn[known], extent)
+            legible = wrong * WRONG_BITS <= bits * bits
             least = max(_LEAST_VOTES, _LEAST_SHARE * int(clear.sum()))
-            found = list(places.layouts(name, ratio, first))
-            most = max((layout.votes for layout in found), default=0)
+            layouts: list[CharucoLayout] = []
+            for quarters, rotation in enumerate(map(np.array, TURNS)):
+                same = legible & (turn == quarters)
+                if same.sum() >= _LEAST_VOTES:
+                    # around each of the pattern's corners there are four squares
+                    ends = np.sort((np.array([(0, 0), checker.found.shape]) - 0.5) @ rotation.T, axis=0)
+                    height, width = np.rint(ends[1] - ends[0] + 1).astype(int).tolist()
+                    place = np.rint((square[clear][same] - 0.5) @ rotation.T - ends[0]).astype(np.intp)
+                    layouts += _agree(place, marker[same], (height, width), name, ratio, first)
+            most = max((layout.votes for layout in layouts), default=0)
             if most >= least:
-                yield [layout for layout in dict.fromkeys(found) if layout.votes == most]
+                yield [layout for layout in dict.fromkeys(layouts) if layout.votes == most]
 
 
-def _by_bits() -> dict[int, list[str]]:
-    """Return the names of the dictionaries by the number of bits across their markers."""
-    result: dict[int, list[str]] = {}
-    for name in _DICTIONARIES:
-        result.setdefault(family_named(name).bits, []).append(name)
-    return result
-
-
-@dataclass(frozen=True, eq=False)
-class _Places:
-    """Markers (M,) that were read in squares (M, 2) of a pattern, turned by quarters (M,).
-
-    extent: rows and columns of the pattern's corners, around each of which there are four squares.
-    """
-
-    square: Array
-    marker: Array
-    turn: Array
-    extent: tuple[int, int]
-
-    def layouts(self, name: str, ratio: float, first: int) -> Iterator[CharucoLayout]:
-        """Yield the layouts that some markers agree on."""
-        for turn in range(len(TURNS)):
-            same = self.turn == turn
-            if same.sum() >= _LEAST_VOTES:
-                rotation = np.array(TURNS[turn])
-                ends = np.sort((np.array([(0, 0), self.extent]) - 0.5) @ rotation.T, axis=0)
-                height, width = np.rint(ends[1] - ends[0] + 1).astype(int).tolist()
-                place = np.rint((self.square[same] - 0.5) @ rotation.T - ends[0]).astype(np.intp)
-                yield from _agreed(place, self.marker[same], (height, width), name, ratio, first)
-
-
-def _agreed(
+def _agree(
     place: Array, marker: Array, size: tuple[int, int], name: str, ratio: float, first: int
 ) -> Iterator[CharucoLayout]:
     """Yield the layouts that markers (M,) agree on, each in the row and column place (M, 2) of a part of a board.
@@ -254,7 +227,7 @@ def _agreed(
                 )
 
 
-def _verified(gray: Array, layout: CharucoLayout, like: Board) -> tuple[int, CharucoLayout] | None:
+def _verify(gray: Array, layout: CharucoLayout, like: Board) -> tuple[int, CharucoLayout] | None:
     """Return the number of corners seen, and the layout with as many rows as they tell of; None if there are none.
 
     The board is searched for with more rows than its markers tell of, since something may hide what lies between. The
@@ -276,9 +249,10 @@ def _verified(gray: Array, layout: CharucoLayout, like: Board) -> tuple[int, Cha
 
 def is_like(layout: CharucoLayout, board: Board) -> bool:
     """Return whether a layout is what a board may stand for, but for a marker that is read alike."""
-    found = layout.board(board)
+    proposed = layout.board(board)
     return any(
-        replace(each, legacy=each.legacy if found.legacy is not None else None) == found for each in arrangements(board)
+        replace(each, legacy=each.legacy if proposed.legacy is not None else None) == proposed
+        for each in arrangements(board)
     )
 
 

@@ -67,11 +67,11 @@ class Checker:
 
 
 @dataclass(frozen=True, eq=False)
-class _NodeMeasurements:
+class NodeMeasurements:
     """What is seen at the nodes of a grid (rows, columns), NaN where not examined.
 
     contrast: gray levels, its sign changed on every other node so that a checker pattern has one sign.
-    moved: steps from the start.
+    moved: steps, or sides of a tag, from the start.
     """
 
     grid: Array
@@ -90,7 +90,7 @@ def verified_corners(gray: Array, start: Array, clearance: float = CLEARANCE) ->
     gray: (H, W) uint8. clearance: how far from an edge, in steps, an image shows nothing but squares. The corners are
     good to some tenths of a pixel.
     """
-    nodes = _measured_nodes(gray, start, ~np.isnan(start[..., 0]), clearance)
+    nodes = _measure_nodes(gray, start, ~np.isnan(start[..., 0]), clearance)
     crossing = nodes.crossing(START)
     if not crossing.any():
         return Checker(np.full_like(start, np.nan), 1, 0.0)
@@ -100,7 +100,7 @@ def verified_corners(gray: Array, start: Array, clearance: float = CLEARANCE) ->
     grid[grids.stray(grid) > STRAY] = np.nan
     checker = Checker(grid, sign, contrast)
     for _ in range(sum(start.shape[:2])):
-        grown = _grown(gray, checker, clearance)
+        grown = _fill(gray, checker, grids.predict(checker.grid), clearance)
         if (grown.found == checker.found).all():
             break
         checker = grown
@@ -132,9 +132,9 @@ def extended(gray: Array, checker: Checker) -> Checker:
         wide = grids.padded(checker.grid)
         beyond = np.pad(np.zeros_like(checker.found), 1, constant_values=True)
         places = np.where(beyond[..., None], grids.predict(wide), wide)
-        if not any(_sides(_hinted(gray, places, beyond, checker))):
+        if not any(_sides(_find_hints(gray, places, beyond, checker))):
             break
-        nodes = _measured_nodes(gray, places, beyond & ~np.isnan(places[..., 0]), CLEARANCE, far=True)
+        nodes = _measure_nodes(gray, places, beyond & ~np.isnan(places[..., 0]), CLEARANCE, far=True)
         likeness = np.abs(checker.sign * nodes.contrast / checker.contrast - 1)
         same = nodes.crossing(REPAIR) & (nodes.agreement > SAME_AGREEMENT) & (likeness < SAME_CONTRAST)
         top, bottom, left, right = _sides(same)
@@ -146,14 +146,14 @@ def extended(gray: Array, checker: Checker) -> Checker:
     return checker
 
 
-def _hinted(gray: Array, places: Array, where: Array, checker: Checker) -> Array:
+def _find_hints(gray: Array, places: Array, where: Array, checker: Checker) -> Array:
     """Return where (rows, columns), by contrast, there may be one more corner just at its place beyond a pattern."""
     where = where & ~np.isnan(places[..., 0])
     row, column = np.nonzero(where)
-    found = measure_saddles_at(gray, places[where], grids.steps(places)[where], CLEARANCE)
-    contrast = found.contrast * np.where((row + column) % 2, -1, 1)
+    saddles = measure_saddles_at(gray, places[where], grids.steps(places)[where], CLEARANCE)
+    contrast = saddles.contrast * np.where((row + column) % 2, -1, 1)
     result = np.zeros(where.shape, dtype=bool)
-    result[where] = (checker.sign * contrast > HINT * checker.contrast) & (found.agreement > HINT)
+    result[where] = (checker.sign * contrast > HINT * checker.contrast) & (saddles.agreement > HINT)
     return result
 
 
@@ -163,26 +163,21 @@ def _sides(there: Array) -> tuple[bool, bool, bool, bool]:
     return top, bottom, left, right
 
 
-def _grown(gray: Array, checker: Checker, clearance: float) -> Checker:
-    """Return the checker with missing corners that are seen where their neighbours put them."""
-    return _filled(gray, checker, grids.predict(checker.grid), clearance)
-
-
 def with_hidden_corners(gray: Array, checker: Checker, clearance: float) -> Checker:
     """Return the checker with missing corners that are seen where all the others put them, as behind a hand."""
-    known = checker.found
-    if known.sum() < MAPPED or known.all():
+    found = checker.found
+    if found.sum() < MAPPED or found.all():
         return checker
-    row, column = np.indices(known.shape)
+    row, column = np.indices(found.shape)
     nodes = np.stack([column, row], axis=-1).astype(np.float64)
-    seen = map_of(nodes[known], checker.grid[known], (gray.shape[1], gray.shape[0]))
-    return _filled(gray, checker, seen.pixels(nodes.reshape(-1, 2)).reshape(nodes.shape), clearance)
+    board_map = map_of(nodes[found], checker.grid[found], (gray.shape[1], gray.shape[0]))
+    return _fill(gray, checker, board_map.pixels(nodes.reshape(-1, 2)).reshape(nodes.shape), clearance)
 
 
-def _filled(gray: Array, checker: Checker, predicted: Array, clearance: float) -> Checker:
+def _fill(gray: Array, checker: Checker, predicted: Array, clearance: float) -> Checker:
     """Return the checker with missing corners that are seen near where they are predicted (rows, columns, 2)."""
     places = np.where(checker.found[..., None], checker.grid, predicted)
-    nodes = _measured_nodes(gray, places, ~checker.found & ~np.isnan(places[..., 0]), clearance, far=True)
+    nodes = _measure_nodes(gray, places, ~checker.found & ~np.isnan(places[..., 0]), clearance, far=True)
     seen = nodes.crossing(REPAIR) & (checker.sign * nodes.contrast > CONTRAST * checker.contrast)
     return Checker(np.where(seen[..., None], nodes.grid, checker.grid), checker.sign, checker.contrast)
 
@@ -192,30 +187,28 @@ def clear_corners(gray: Array, checker: Checker, clearance: float = CLEARANCE) -
 
     One that a finger touches, or a shadow's edge, would be drawn towards it.
     """
-    known, grid = checker.found, checker.grid.copy()
-    if known.any():
-        found = measure_saddles_at(gray, grid[known], grids.steps(grid)[known], clearance)
-        unlike = 1 - found.agreement
-        clear = (found.agreement > AGREEMENT) & (unlike < DISTURBED + TIMES_USUAL * np.median(unlike))
-        grid[known] = np.where(clear[:, None], grid[known], np.nan)
+    found, grid = checker.found, checker.grid.copy()
+    if found.any():
+        saddles = measure_saddles_at(gray, grid[found], grids.steps(grid)[found], clearance)
+        unlike = 1 - saddles.agreement
+        clear = (saddles.agreement > AGREEMENT) & (unlike < DISTURBED + TIMES_USUAL * np.median(unlike))
+        grid[found] = np.where(clear[:, None], grid[found], np.nan)
     return grid
 
 
-def _measured_nodes(
-    gray: Array, grid: Array, where: Array, clearance: float, *, far: bool = False
-) -> _NodeMeasurements:
+def _measure_nodes(gray: Array, grid: Array, where: Array, clearance: float, *, far: bool = False) -> NodeMeasurements:
     """Return what is seen near the nodes `where` (rows, columns) of a grid; far: the corners may be steps/2 away."""
     shape = grid.shape[:2]
-    result = _NodeMeasurements(grid.copy(), np.full(shape, np.nan), np.full(shape, np.nan), np.full(shape, np.nan))
+    result = NodeMeasurements(grid.copy(), np.full(shape, np.nan), np.full(shape, np.nan), np.full(shape, np.nan))
     if not where.any():
         return result
     steps = grids.steps(grid)[where]
-    found = measure_saddles(gray, grid[where], steps, clearance, far=far)
+    saddles = measure_saddles(gray, grid[where], steps, clearance, far=far)
     row, column = np.nonzero(where)
-    result.grid[where] = found.pixels
-    result.contrast[where] = found.contrast * np.where((row + column) % 2, -1, 1)
-    result.agreement[where] = found.agreement
-    result.moved[where] = np.linalg.norm(found.pixels - grid[where], axis=1) / np.maximum(grids.spacing(steps), 1e-9)
+    result.grid[where] = saddles.pixels
+    result.contrast[where] = saddles.contrast * np.where((row + column) % 2, -1, 1)
+    result.agreement[where] = saddles.agreement
+    result.moved[where] = np.linalg.norm(saddles.pixels - grid[where], axis=1) / np.maximum(grids.spacing(steps), 1e-9)
     return result
 
 
@@ -270,7 +263,7 @@ def measure_saddles(
     from the nearer edge, in steps, samples may lie. far: the corner may be half a step away.
     """
     for limit in (*FAR, *NEAR) if far else NEAR:
-        pixels = _refined(gray, pixels, steps, clearance, limit)
+        pixels = _refine(gray, pixels, steps, clearance, limit)
     return measure_saddles_at(gray, pixels, steps, clearance)
 
 
@@ -288,7 +281,7 @@ def measure_saddles_at(gray: Array, pixels: Array, steps: Array, clearance: floa
     return SaddleMeasurements(pixels, -score * stencil.peak[best], agreement)
 
 
-def _refined(gray: Array, pixels: Array, steps: Array, clearance: float, limit: tuple[float, float]) -> Array:
+def _refine(gray: Array, pixels: Array, steps: Array, clearance: float, limit: tuple[float, float]) -> Array:
     """Return the corners nearer to where they are, by a few rounds with one reach."""
     stencil, frames = _stencil_for(steps, clearance, limit)
     for _ in range(ROUNDS):

@@ -45,7 +45,7 @@ def find_chessboard(gray: Array, board: Board, *, partial: bool = False) -> Boar
         if min(checker.grid.shape[:2]) < 2 or checker.area < SMALLER * area:
             continue
         checker = extended(gray, checker)
-        seen = _judged(gray, checker, board, partial=partial)
+        seen = _judge(gray, checker, board, partial=partial)
         large = checker.found.sum() > ENOUGH * board.count
         if len(seen.ids) >= MIN_SHARE * board.count or (large and _leaves(gray, checker.grid)):
             return seen
@@ -55,7 +55,7 @@ def find_chessboard(gray: Array, board: Board, *, partial: bool = False) -> Boar
     return best
 
 
-def _judged(gray: Array, checker: Checker, board: Board, *, partial: bool) -> BoardDetection:
+def _judge(gray: Array, checker: Checker, board: Board, *, partial: bool) -> BoardDetection:
     """Return the corners of a pattern if it is the board, or a part of it where that is enough, else what it is."""
     whole = sorted(checker.grid.shape[:2]) == sorted((board.rows, board.columns))
     if not whole and (not partial or min(checker.grid.shape[:2]) < LEAST_PART):
@@ -65,13 +65,17 @@ def _judged(gray: Array, checker: Checker, board: Board, *, partial: bool) -> Bo
         return BoardDetection.nothing(reason, refused=checker.grid)
     places = fitting(checker, board)
     if not whole:
-        places = ending(gray, checker, places, board)
+        ends = _ends(gray, checker)
+        places = [ids for ids in places if not (ends & ~_ending_on(board, ids)).any()]
     if board.dots:
-        places = with_dots(gray, checker, places, board)
+        places = select_dotted(gray, checker, places, board)
     grid = numbered(places, checker, board)
     if grid is not None:
         seen = BoardDetection.of(clear_corners(gray, Checker(grid, checker.sign, checker.contrast)))
-        return replace(seen, inverted=seen.found and whole and _is_inverted(gray, checker))
+        # most sides (of four) of an inverted pattern end with a dark margin, and none with a bright one
+        unbounded = seen.found and whole and not _ends(gray, checker).any()
+        inverted = unbounded and bool(_ends(np.asarray(WHITE - gray), checker).mean() > INVERTED)
+        return replace(seen, inverted=inverted)
     if whole and board.dots:
         reason = "the three dots that define its orientation are not visible"
         return BoardDetection.nothing(reason, refused=checker.grid)
@@ -142,19 +146,10 @@ def numbered(places: list[Array], checker: Checker, board: Board) -> Array | Non
     alike = board.symmetries()
     if not places or len({min(tuple(turn[ids.ravel()]) for turn in alike) for ids in places}) > 1:
         return None
-    return max((_on_board(ids, checker.grid, board) for ids in places), key=grids.uprightness)
-
-
-def _on_board(ids: Array, grid: Array, board: Board) -> Array:
-    result = np.full((board.count, 2), np.nan)
-    result[ids] = grid
-    return result.reshape(board.rows, board.columns, 2)
-
-
-def ending(gray: Array, checker: Checker, places: list[Array], board: Board) -> list[Array]:
-    """Return the places that end wherever the image shows that the board does."""
-    ends = _ends(gray, checker)
-    return [ids for ids in places if not (ends & ~_ending_on(board, ids)).any()]
+    grids_on_board = np.full((len(places), board.count, 2), np.nan)
+    for on_board, ids in zip(grids_on_board, places, strict=True):
+        on_board[ids] = checker.grid
+    return max(grids_on_board.reshape(-1, board.rows, board.columns, 2), key=grids.uprightness)
 
 
 def _ending_on(board: Board, ids: Array) -> Array:
@@ -165,11 +160,6 @@ def _ending_on(board: Board, ids: Array) -> Array:
         next_row, next_column = (2 * index[at] - index[before] for index in (row, column))
         sides.append(not (0 <= next_row < board.rows and 0 <= next_column < board.columns))
     return np.array(sides)
-
-
-def _is_inverted(gray: Array, checker: Checker) -> bool:
-    """Return whether most sides (of four) of a whole pattern end with a dark margin, and none with a bright one."""
-    return bool(not _ends(gray, checker).any() and _ends(np.asarray(WHITE - gray), checker).mean() > INVERTED)
 
 
 def _ends(gray: Array, checker: Checker) -> Array:
@@ -211,7 +201,7 @@ def _mean_around(gray: Array, places: Array, reach: Array) -> Array:
     return np.asarray(opencv.sampled(gray, x, y).mean(axis=1))
 
 
-def with_dots(gray: Array, checker: Checker, places: list[Array], board: Board) -> list[Array]:
+def select_dotted(gray: Array, checker: Checker, places: list[Array], board: Board) -> list[Array]:
     """Return the places whose dots lie where dots are seen, and whose other squares are plain as far as seen."""
     seen = _dots(gray, checker)
     dotted = np.zeros((board.rows + 1, board.columns + 1), dtype=bool)

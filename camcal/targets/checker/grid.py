@@ -70,19 +70,14 @@ def steps(grid: Array) -> Array:
     The last axis is (along the row, down the column). A node without neighbours takes the steps of an affine map.
     """
     near = _neighbours(grid)
+    row, column = np.nonzero(~np.isnan(grid[..., 0]))
+    design = np.column_stack([column, row, np.ones(len(row))])
+    affine = np.linalg.lstsq(design, grid[row, column], rcond=None)[0]
     pairs = []
-    for along, everywhere in zip((np.array([0, 1]), np.array([1, 0])), _affine_steps(grid), strict=True):
+    for along, everywhere in zip((np.array([0, 1]), np.array([1, 0])), affine[:2], strict=True):
         step = _mean(np.array([near(along) - grid, grid - near(-along)]))
         pairs.append(np.where(np.isnan(step), everywhere, step))
     return np.stack(pairs, axis=-1)
-
-
-def _affine_steps(grid: Array) -> tuple[Array, Array]:
-    """Return the steps (2,) along rows and down columns of the affine map that fits the grid best."""
-    row, column = np.nonzero(~np.isnan(grid[..., 0]))
-    design = np.column_stack([column, row, np.ones(len(row))])
-    solution = np.linalg.lstsq(design, grid[row, column], rcond=None)[0]
-    return solution[0], solution[1]
 
 
 def spacing(steps_at_nodes: Array) -> Array:

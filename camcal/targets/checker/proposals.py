@@ -110,7 +110,8 @@ def proposals(gray: Array) -> Iterator[list[Array]]:
     """
     for scale in _scales(gray.size):
         copy = gray if scale == 1 else opencv.resized(gray, scale)
-        yield [_from_copy(grid, copy, gray) for grid in patterns(find_saddles(copy))[:TRIED]]
+        to_image = np.array(gray.shape[::-1]) / np.array(copy.shape[::-1])  # the outer edges of both coincide
+        yield [(grid + 0.5) * to_image - 0.5 for grid in patterns(find_saddles(copy))[:TRIED]]
 
 
 def _scales(size: int) -> Iterator[float]:
@@ -123,12 +124,6 @@ def _scales(size: int) -> Iterator[float]:
         yield scale
     if size < ENLARGED:
         yield 2.0
-
-
-def _from_copy(corners: Array, copy: Array, gray: Array) -> Array:
-    """Return corners in a copy as pixels of the image: the outer edges of both coincide."""
-    scale = np.array(gray.shape[::-1]) / np.array(copy.shape[::-1])
-    return np.asarray((corners + 0.5) * scale - 0.5)
 
 
 NEAREST = 40  # saddles that may be the next one; what is printed in a square lies nearer, so do foreshortened rows
@@ -149,15 +144,18 @@ def patterns(saddles: Saddles) -> list[Array]:
     if len(saddles.pixels) < LEAST:
         return []
     links = _around_squares(saddles, _links(saddles))
-    found, taken = [], np.zeros(len(links), dtype=bool)
+    corner_grids, taken = [], np.zeros(len(links), dtype=bool)
     for seed in np.argsort(-(links >= 0).sum(axis=1), kind="stable"):
         if taken[seed] or (links[seed] < 0).all():
             continue
-        places = _counted_off(links, int(seed), taken)
+        places = _count_off(links, int(seed), taken)
         taken[list(places)] = True
         if len(places) >= LEAST:
-            found.append(_grid(saddles, places))
-    return sorted(found, key=grids.area, reverse=True)
+            row, column = (np.array(list(places.values())) - np.min(list(places.values()), axis=0)).T
+            grid = np.full((row.max() + 1, column.max() + 1, 2), np.nan)
+            grid[row, column] = saddles.pixels[list(places)]
+            corner_grids.append(grid)
+    return sorted(corner_grids, key=grids.area, reverse=True)
 
 
 def _links(saddles: Saddles) -> Array:
@@ -234,7 +232,7 @@ def _is_cell(pixels: Array, *path: Array) -> Array:
     return np.asarray(skew < SKEW * np.minimum(sides[0] + sides[2], sides[1] + sides[3]) / 2)
 
 
-def _counted_off(links: Array, seed: int, taken: Array) -> dict[int, tuple[int, int]]:
+def _count_off(links: Array, seed: int, taken: Array) -> dict[int, tuple[int, int]]:
     """Return the places (row, column) of the corners that links lead to and that are not taken (N,).
 
     The seed's first edge leads along its row.
@@ -257,11 +255,3 @@ def _counted_off(links: Array, seed: int, taken: Array) -> dict[int, tuple[int, 
             turns[two] = (direction + 2 - table[two].index(one)) % 4
             queue.append(two)
     return places
-
-
-def _grid(saddles: Saddles, places: dict[int, tuple[int, int]]) -> Array:
-    """Return the corners at their places (rows, columns, 2)."""
-    row, column = (np.array(list(places.values())) - np.min(list(places.values()), axis=0)).T
-    grid = np.full((row.max() + 1, column.max() + 1, 2), np.nan)
-    grid[row, column] = saddles.pixels[list(places)]
-    return grid

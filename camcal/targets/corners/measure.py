@@ -19,8 +19,7 @@ from camcal.targets.board_types import TAG_BORDER, dotted_squares
 from camcal.targets.corners.cells import CROWDED, LONGEST_PX, Beside, Cells
 from camcal.targets.corners.refine import RefinedCorners, refine
 from camcal.targets.detection import MIN_CORNERS, BoardDetection, MaskedImage
-from camcal.targets.markers.families import family_named
-from camcal.targets.pattern import DOT
+from camcal.targets.pattern import DOT, family_named
 
 LARGEST_NOISE = 0.4  # of the contrast; what is left over of a corner that is none is more
 LARGEST_STD_PX = 0.5  # of a corner that is one
@@ -217,8 +216,14 @@ def seen_cells(
     next ones are searched for only where it may bring them into the picture. first: see BoardEdges.of.
     """
     edges = BoardEdges.of(board, first)
-    board_steps = _BoardSteps(points, edges.length, project)
-    middle, *ends = board_steps.at([(0, 0), (-_HALF, 0), (_HALF, 0), (0, -_HALF), (0, _HALF)])
+
+    def see(steps: Sequence[tuple[float, float]]) -> Array:
+        """Return the pixels (S, N, 2) of what is S steps along x and y from the points."""
+        shifts = edges.length * np.column_stack([np.array(steps), np.zeros(len(steps))])
+        places = points + shifts[:, None]
+        return project(places.reshape(-1, 3)).reshape(len(steps), -1, 2)
+
+    middle, *ends = see([(0, 0), (-_HALF, 0), (_HALF, 0), (0, -_HALF), (0, _HALF)])
     steps, bends = np.empty((len(points), 2, 2)), np.empty((len(points), 2))
     for edge in (0, 1):
         before, after = ends[2 * edge : 2 * edge + 2]
@@ -227,34 +232,24 @@ def seen_cells(
         bends[:, edge] = (step[:, 0] * second[:, 1] - step[:, 1] * second[:, 0]) / np.linalg.norm(step, axis=1) ** 3
     cells = Cells(steps, bends, edges.reach[ids], edges.depth[ids])
     if board.checker and cells.narrowest() < CROWDED * blur_px:
-        cells = replace(cells, beside=_seen_beside(board, ids, middle, board_steps))
+        cells = replace(cells, beside=_seen_beside(board, ids, middle, see))
     return middle, cells
 
 
-@dataclass(frozen=True, eq=False)
-class _BoardSteps:
-    """Points (N, 3) of a board, the length of steps from them, and what takes points of the board to pixels."""
+def _seen_beside(
+    board: Board, ids: Array, middle: Array, see: Callable[[Sequence[tuple[float, float]]], Array]
+) -> Beside:
+    """Return the edges beside those of a checker pattern's corners at pixels `middle` (N, 2).
 
-    points: Array
-    length: float
-    project: Callable[[Array], Array]
-
-    def at(self, steps: Sequence[tuple[float, float]]) -> Array:
-        """Return the pixels (S, N, 2) of what is S steps along x and y from the points."""
-        shifts = self.length * np.column_stack([np.array(steps), np.zeros(len(steps))])
-        places = self.points + shifts[:, None]
-        return self.project(places.reshape(-1, 3)).reshape(len(steps), -1, 2)
-
-
-def _seen_beside(board: Board, ids: Array, middle: Array, board_steps: _BoardSteps) -> Beside:
-    """Return the edges beside those of a checker pattern's corners at pixels `middle` (N, 2)."""
+    see: takes S steps along x and y from the corners to pixels (S, N, 2).
+    """
     row, column = np.divmod(ids, board.columns)
     ends = ((row, board.rows - 1), (column, board.columns - 1))
     lines, border = np.empty((len(ids), 2, 2, 3)), np.empty((len(ids), 2, 2), np.bool_)
     for edge, (place, last) in enumerate(ends):
         for index, sign in enumerate((-1, 1)):
             shifts = [(share, sign) if edge == 0 else (sign, share) for share in (0, -_HALF, _HALF)]
-            there, before, after = board_steps.at(shifts)
+            there, before, after = see(shifts)
             lines[:, edge, index] = Beside.line(there - middle, after - before)
             border[:, edge, index] = place == (0 if sign < 0 else last)
     return Beside.sorted(lines, border)
@@ -271,7 +266,7 @@ _DRAWN = 0.5  # px that a corner which was found may move: further, it was anoth
 class Expected:
     """What a calibration expects of an image: the pixels (C, 2) of all points of the board and their cells.
 
-    inside: (C,) which of them are in the image, with room for a window. signs: (C,) see board_edges.signs.
+    inside: (C,) which of them are in the image, with room for a window. signs: (C,) see `signs`.
     """
 
     pixels: Array
@@ -294,20 +289,20 @@ def remeasure(samples: MaskedImage, view: BoardDetection, expected: Expected) ->
     ids, pixels = view.ids, view.pixels
     start = expected.pixels.copy()
     start[ids] = pixels
-    known = np.zeros(len(start), np.bool_)
-    known[ids] = True
-    chosen = np.flatnonzero((known | expected.inside) & np.isfinite(expected.cells.bends).all(axis=1))
+    measured = np.zeros(len(start), np.bool_)
+    measured[ids] = True
+    chosen = np.flatnonzero((measured | expected.inside) & np.isfinite(expected.cells.bends).all(axis=1))
     blur = blur_of(samples.values, pixels)
     corners = refine(samples.values, start[chosen], expected.cells.take(chosen), blur, samples.sites)
     good = clear(corners)
     contrast = np.where(good, corners.contrast * expected.signs[chosen], 0.0)
-    good &= contrast * np.sign(contrast[known[chosen]].sum()) > 0
+    good &= contrast * np.sign(contrast[measured[chosen]].sum()) > 0
     moved = np.linalg.norm(corners.pixels - start[chosen], axis=1)
-    before = good & known[chosen] & (moved < _DRAWN)
+    before = good & measured[chosen] & (moved < _DRAWN)
     if not before.any():
         return view
     step = np.linalg.norm(expected.cells.steps[chosen], axis=1).min(axis=1)
-    fresh = good & ~known[chosen] & (moved < np.maximum(_OFF * step, _OFF_PX))
+    fresh = good & ~measured[chosen] & (moved < np.maximum(_OFF * step, _OFF_PX))
     fresh &= np.abs(contrast) > _FAINT * np.median(np.abs(contrast[before]))
     fresh &= corners.noise < _SURE * np.median(corners.noise[before])
     fresh &= (corners.blur < _SURE * np.median(corners.blur[before])).all(axis=1)

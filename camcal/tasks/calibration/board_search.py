@@ -13,11 +13,12 @@ from camcal.arrays import Array, IntArray
 from camcal.errors import InvalidInput
 from camcal.formats.tables import require_cell
 from camcal.progress import Outcome, Progress
-from camcal.raw.detection_image import read_detection_image
 from camcal.raw.options import ImageReadOptions
+from camcal.raw.reading import read_detection_image
 from camcal.run.fanout import fan_out
-from camcal.run.journal import Found, journaled
+from camcal.run.journal import journaled
 from camcal.run.options import BatchOptions
+from camcal.run.resume import Items
 from camcal.targets.board import APRILGRID, ASYMMETRIC_CIRCLES, CHARUCO, CHESSBOARD, CIRCLES, Board
 from camcal.targets.checker.charuco import arrangement_votes, arrangements
 from camcal.targets.corners.measure import measure
@@ -162,7 +163,7 @@ def search(
     batch: BatchOptions,
     what: str,
     progress: Progress,
-    found: Found[Source, Shown] | None = None,
+    found: Items[Source, Shown] | None = None,
 ) -> Iterator[Outcome[Source, Shown]]:
     """Return an iterator with the outcome of every task in their order; one that hangs or crashes costs itself only.
 

@@ -6,14 +6,13 @@ from typing import Any
 
 from camcal import files
 from camcal.errors import CamcalError, InvalidInput
-from camcal.formats import boards, emit, kalibr_target, provenance
+from camcal.formats import boards, emit, provenance
 from camcal.formats.boards import short_form
 from camcal.progress import SILENT, Progress
 from camcal.run.outputs import claim, overwrites, writes
 from camcal.targets.board import APRILGRID, ASYMMETRIC_CIRCLES, CHARUCO, CHESSBOARD, Board
-from camcal.targets.printing.draw import MM, RULER_MM, Footer, Ink, Sheet, encoded, ink_of, page_of, require_fine
-from camcal.targets.printing.page import Page, Paper, paper_named
-from camcal.targets.printing.png import size_in_pixels
+from camcal.targets.page import Page, Paper, paper_named, size_in_pixels
+from camcal.targets.printing import MM, RULER_MM, Footer, Ink, Sheet, encoded, ink_of, page_of, require_fine
 from camcal.tasks.calibration.sheet_options import SheetOptions
 
 DPI = 254.0  # ten pixels a millimetre
@@ -103,7 +102,7 @@ def _target(options: SheetOptions, board: Board) -> str:
     path = options.kalibr
     if path is None:
         return ""
-    text = kalibr_target.text_of(board)
+    text = boards.kalibr_text(board)
     if path.resolve() in (options.output.resolve(), options.board_file.resolve()):
         raise InvalidInput("is another output; choose another name for the Kalibr file", where=str(path))
     return text

@@ -16,8 +16,8 @@ from camcal.formats import boards, detections
 from camcal.messages import Message
 from camcal.options import given_words
 from camcal.progress import Progress, warn_of
-from camcal.raw.detection_image import read_detection_image
 from camcal.raw.options import AS_IMAGES, ImageReadOptions
+from camcal.raw.reading import read_detection_image
 from camcal.run.options import DEFAULT_BATCH, BatchOptions
 from camcal.targets.board import Board
 from camcal.targets.detection import BoardDetection, Detections

@@ -1,104 +1,44 @@
 """`camcal calibrate`: images or a detections file in, one camera file out."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from camcal import messages
-from camcal.brief import Brief
 from camcal.calibrate import intrinsics
 from camcal.calibrate.channels import aberration, fit_colour
 from camcal.calibrate.fit import ShapeOptions
 from camcal.calibrate.intrinsics import Calibration, CandidateModel, compare_models
 from camcal.calibrate.several_cameras import name_groups
 from camcal.cameras.catalogue import DEFAULT_MODEL, model_named
-from camcal.cameras.model import Camera
 from camcal.cameras.validity import ImageCircle
 from camcal.errors import GateFailed, InsufficientData, NotConverged
 from camcal.formats import cameras, detections, native, native_entry
 from camcal.formats.camera_file import (
     CameraEntry,
-    CameraFile,
 )
-from camcal.messages import Message, counted
+from camcal.messages import Message
 from camcal.options import command_line
 from camcal.progress import SILENT, Progress, warn_of
-from camcal.quality.assess import Assessment
-from camcal.quality.lens_choice import rank_models
+from camcal.quality.lens_choice import judge, rank_models
 from camcal.quality.projection_uncertainty import ProjectionUncertainty, too_uncertain
-from camcal.raw.detection_image import COLOURS
-from camcal.report.calibration import as_data, candidates_data, headline, uncertainty_data
-from camcal.report.uncertain import projection_words, region_words
+from camcal.raw.reading import COLOURS
+from camcal.report.calibration import as_data, candidates_data, uncertainty_data
 from camcal.run.journal import journal_beside
 from camcal.run.outputs import writes
 from camcal.run.paths import split_address
 from camcal.targets.board import Board
 from camcal.targets.detection import BoardDetection
 from camcal.tasks.calibration.board_views import BoardViews, board_views, screenshots
-from camcal.tasks.calibration.camera_result import Channel, camera_file, channel_figures
+from camcal.tasks.calibration.camera_result import CalibrateReport, Channel, camera_file, channel_figures
 from camcal.tasks.calibration.corner_refinement import RefinementSummary, is_refined, refine_corners
 from camcal.tasks.calibration.image_circle_of_views import circle_lines, known_circle, with_circle
 from camcal.tasks.calibration.model_selection import Selection, compared, solve
 from camcal.tasks.calibration.options import CalibrateOptions
-from camcal.tasks.calibration.video_frames import FrameRecord
 from camcal.tasks.calibration.video_frames import as_data as frame_data
 from camcal.tasks.figure_files import figure_data, write_figures
-
-
-@dataclass(frozen=True, eq=False)
-class CalibrateReport(Brief):
-    """The calibration, its assessment, the file that was written, what it is from, and failed inputs.
-
-    warnings: of the detection and of the assessment. lines: other lines of the report. refinement: what the second pass
-    of corner refinement changed, None without one. channels: by the names of colours, empty unless asked for. frames:
-    what became of the frames of videos. candidates: lens models that were compared, none where the model was given.
-    figures: the files of figures.
-    """
-
-    calibration: Calibration
-    assessment: Assessment
-    file: CameraFile
-    views: BoardViews
-    warnings: tuple[Message, ...]
-    failed: tuple[str, ...]
-    lines: tuple[str, ...] = ()
-    refinement: RefinementSummary | None = None
-    channels: Mapping[str, Channel] = field(default_factory=dict)
-    frames: tuple[FrameRecord, ...] = ()
-    candidates: tuple[CandidateModel, ...] = ()
-    figures: tuple[Path, ...] = ()
-
-    def __repr__(self) -> str:
-        """Return the verdict, the lens and its uncertainty in a line."""
-        verdict = (
-            f"trustworthy{region_words(self.assessment.region)}"
-            if self.trustworthy
-            else f"DO NOT TRUST: {self.failures[0].text}"
-        )
-        lens = f"{headline(self.calibration)}; {projection_words(self.uncertainty.figures())}"
-        return f"<CalibrateReport: {verdict[:200]}; {lens}; {counted(len(self.calibration.used), 'view')}>"
-
-    @property
-    def camera(self) -> Camera:
-        """The camera with its covariance."""
-        return self.calibration.camera
-
-    @property
-    def uncertainty(self) -> ProjectionUncertainty:
-        """The uncertainty of projections over the image."""
-        return self.assessment.uncertainty
-
-    @property
-    def trustworthy(self) -> bool:
-        """Whether the calibration may be trusted."""
-        return self.assessment.trustworthy
-
-    @property
-    def failures(self) -> tuple[Message, ...]:
-        """Why it may not be trusted."""
-        return self.assessment.failures
 
 
 @writes
@@ -165,7 +105,7 @@ def calibrated(
     except (InsufficientData, NotConverged) as refusal:
         error = screenshots(seen, options, progress) or refusal
         if options.report is not None:
-            from camcal.tasks.reports.camera_page import write_refusal
+            from camcal.tasks.reports.pages import write_refusal
 
             write_refusal(options.report, seen, options, words, error)
         raise error from refusal.__cause__
@@ -197,7 +137,7 @@ def calibrated(
         figures=figures,
     )
     if options.report is not None:
-        from camcal.tasks.reports.camera_page import write
+        from camcal.tasks.reports.pages import write
 
         write(options.report, report, options, words)
     return report
@@ -229,11 +169,15 @@ def _write_figures(
 def _brief(
     seen: BoardViews, how: intrinsics.Options, choose: bool, circle: ImageCircle | None, progress: Progress
 ) -> Calibration | None:
-    """Return a brief calibration that expects corners well enough to measure them again, None where there is none."""
+    """Return a brief calibration that expects corners well enough to measure them again, None where there is none: of
+    the lens models that may be chosen, the default one will do where it passes.
+    """
     progress.start("solving", None)
     views, board = seen.detections.views, seen.board
     try:
-        found = compared(views, board, how, circle) if choose else compare_models(views, board, how, [how.model])
+        found = judge(compare_models(views, board, how, [how.model]), circle)
+        if choose and (found[0].calibration is None or found[0].failures):
+            found = compared(views, board, how, circle)
         return rank_models(found, DEFAULT_MODEL)[0].calibration
     finally:
         progress.finish()

@@ -1,7 +1,7 @@
-"""The camera file of a calibration: the camera with what is known of it, the board, the images and their hashes."""
+"""What comes of the calibration of a camera, and its file: the camera, the board, the images and their hashes."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -9,8 +9,10 @@ from typing import Any
 import numpy as np
 
 from camcal import files
+from camcal.brief import Brief
 from camcal.calibrate.channels import Aberration, ColourLens
-from camcal.calibrate.intrinsics import Calibration, View
+from camcal.calibrate.intrinsics import Calibration, CandidateModel, View
+from camcal.cameras.model import Camera
 from camcal.cameras.validity import ImageCircle
 from camcal.formats import provenance
 from camcal.formats.camera_file import (
@@ -21,9 +23,15 @@ from camcal.formats.camera_file import (
     ProjectionStd,
     ValidRegion,
 )
+from camcal.messages import Message, counted
 from camcal.quality.assess import Assessment
-from camcal.report.calibration import view_record
-from camcal.targets.surface import Surface
+from camcal.quality.projection_uncertainty import ProjectionUncertainty
+from camcal.report.calibration import headline, view_record
+from camcal.report.table import projection_words, region_words
+from camcal.targets.board import Surface
+from camcal.tasks.calibration.board_views import BoardViews
+from camcal.tasks.calibration.corner_refinement import RefinementSummary
+from camcal.tasks.calibration.video_frames import FrameRecord
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,3 +130,57 @@ def image_record(view: View) -> dict[str, Any]:
     path = Path(view.image)
     digest = view.sha256 if view.sha256 is not None or not path.is_file() else files.sha256(path)
     return view_record(view) | ({"sha256": digest} if digest else {})
+
+
+@dataclass(frozen=True, eq=False)
+class CalibrateReport(Brief):
+    """The calibration, its assessment, the file that was written, what it is from, and failed inputs.
+
+    warnings: of the detection and of the assessment. lines: other lines of the report. refinement: what the second pass
+    of corner refinement changed, None without one. channels: by the names of colours, empty unless asked for. frames:
+    what became of the frames of videos. candidates: lens models that were compared, none where the model was given.
+    figures: the files of figures.
+    """
+
+    calibration: Calibration
+    assessment: Assessment
+    file: CameraFile
+    views: BoardViews
+    warnings: tuple[Message, ...]
+    failed: tuple[str, ...]
+    lines: tuple[str, ...] = ()
+    refinement: RefinementSummary | None = None
+    channels: Mapping[str, Channel] = field(default_factory=dict)
+    frames: tuple[FrameRecord, ...] = ()
+    candidates: tuple[CandidateModel, ...] = ()
+    figures: tuple[Path, ...] = ()
+
+    def __repr__(self) -> str:
+        """Return the verdict, the lens and its uncertainty in a line."""
+        verdict = (
+            f"trustworthy{region_words(self.assessment.region)}"
+            if self.trustworthy
+            else f"DO NOT TRUST: {self.failures[0].text}"
+        )
+        lens = f"{headline(self.calibration)}; {projection_words(self.uncertainty.figures())}"
+        return f"<CalibrateReport: {verdict[:200]}; {lens}; {counted(len(self.calibration.used), 'view')}>"
+
+    @property
+    def camera(self) -> Camera:
+        """The camera with its covariance."""
+        return self.calibration.camera
+
+    @property
+    def uncertainty(self) -> ProjectionUncertainty:
+        """The uncertainty of projections over the image."""
+        return self.assessment.uncertainty
+
+    @property
+    def trustworthy(self) -> bool:
+        """Whether the calibration may be trusted."""
+        return self.assessment.trustworthy
+
+    @property
+    def failures(self) -> tuple[Message, ...]:
+        """Why it may not be trusted."""
+        return self.assessment.failures

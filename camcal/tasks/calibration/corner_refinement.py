@@ -12,8 +12,8 @@ from camcal.arrays import Array
 from camcal.calibrate.intrinsics import Calibration, View
 from camcal.errors import InvalidInput
 from camcal.progress import Progress
-from camcal.raw.detection_image import read_detection_image
 from camcal.raw.options import ImageReadOptions
+from camcal.raw.reading import read_detection_image
 from camcal.run.fanout import fan_out
 from camcal.run.options import BatchOptions
 from camcal.targets.board import Board

@@ -8,7 +8,8 @@ from camcal.calibrate.intrinsics import Calibration
 from camcal.progress import SILENT, Progress
 from camcal.run.outputs import claim, writes
 from camcal.simulate.scene import Truth
-from camcal.tasks.calibration.calibrate import CalibrateReport, calibrate
+from camcal.tasks.calibration.calibrate import calibrate
+from camcal.tasks.calibration.camera_result import CalibrateReport
 from camcal.tasks.calibration.options import CalibrateOptions, DemoOptions
 from camcal.tasks.calibration.undistort import UndistortReport, undistort
 from camcal.tasks.calibration.undistort_options import UndistortOptions

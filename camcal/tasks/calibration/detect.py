@@ -9,17 +9,18 @@ from typing import Any
 from camcal.arrays import Array
 from camcal.errors import CamcalError, FileError, InvalidInput
 from camcal.formats import boards, detections, native_entry
-from camcal.images.save import KINDS, save
+from camcal.images.files import KINDS, save
 from camcal.messages import Message
 from camcal.progress import SILENT, Progress, values_of, warn_of
-from camcal.raw.detection_image import is_raw, read_detection_image
 from camcal.raw.options import AS_IMAGES, ImageReadOptions
+from camcal.raw.reading import is_raw, read_detection_image
 from camcal.report.overlays import corner_overlay
 from camcal.run import fingerprint
 from camcal.run.fanout import fan_out
-from camcal.run.journal import Found, journal_beside
+from camcal.run.journal import journal_beside
 from camcal.run.outputs import claim, writes
 from camcal.run.paths import Media, find_images, find_media, names_file, refuse_collisions, require_one
+from camcal.run.resume import Items
 from camcal.targets.board import CHARUCO, Board
 from camcal.targets.detect import require_findable
 from camcal.targets.detection import BoardDetection, Detections
@@ -230,7 +231,7 @@ def _seen(
     """Return what images show, and why others could not be read."""
     work = partial(detect_file, reading=options.reading, parts=options.parts, hashed=True)
     tasks = [(path, board) for path in images]
-    found: Found[tuple[Path, Board], BoardDetection] = Found(_settings(options), _of_file, BoardDetection)
+    found: Items[tuple[Path, Board], BoardDetection] = Items(_settings(options), _of_file, result=BoardDetection)
     outcomes = list(search(work, tasks, options.jobs, options.batch, "detecting", progress, found)) if images else []
     errors = [outcome.error for outcome in outcomes if outcome.error is not None]
     return [outcome.value for outcome in outcomes if outcome.value is not None], errors
@@ -246,7 +247,9 @@ def _in_videos(
         # one outcome after another: each holds its frame
         work = partial(detect_frame, parts=options.parts)
         what = f"detecting in {video.path.name}"
-        found: Found[tuple[str, Frame, Board], BoardDetection] = Found(_settings(options), _of_frame, BoardDetection)
+        found: Items[tuple[str, Frame, Board], BoardDetection] = Items(
+            _settings(options), _of_frame, result=BoardDetection
+        )
         for outcome in search(work, video.tasks([board]), options.jobs, options.batch, what, progress, found):
             views += [outcome.value] if outcome.value else []
             errors += [outcome.error] if outcome.error else []

@@ -11,10 +11,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 from camcal.errors import CamcalError, InvalidInput
+from camcal.images.files import load, save
 from camcal.images.image import Image, Scratch
-from camcal.images.load import load
 from camcal.images.remap import Maps
-from camcal.images.save import save
 from camcal.images.video import frames
 from camcal.progress import Outcome, Progress
 from camcal.run import fingerprint

@@ -10,8 +10,8 @@ from camcal.cameras.validity import ImageCircle
 from camcal.errors import CamcalError
 from camcal.formats.camera_file import CameraEntry
 from camcal.images.image_circle import MOST_IMAGES, ImageCircleSearch, evenly_spaced
-from camcal.raw.detection_image import read_detection_image
 from camcal.raw.options import ImageReadOptions
+from camcal.raw.reading import read_detection_image
 from camcal.targets.detection import BoardDetection, Detections
 from camcal.tasks.calibration.mixed_sizes import usual_size
 from camcal.tasks.calibration.video_frames import Video

@@ -14,9 +14,9 @@ from camcal.formats import cameras, documents, emit, native
 from camcal.formats.camera_file import CameraEntry, CameraFile
 from camcal.formats.provenance import image_counts
 from camcal.parsing import did_you_mean
-from camcal.report.uncertain import held_by_prior_words, length_unit, projection_words, value_and_std
+from camcal.report.table import held_by_prior_words, length_unit, projection_words, value_and_std
 from camcal.run.outputs import writes
-from camcal.targets.surface import CLASSES, RATIOS, Surface
+from camcal.targets.board import CLASSES, RATIOS, Surface
 from camcal.tasks.options import InspectOptions
 from camcal.tasks.rigs.inspect_rig import RigInspection, draw_rig, inspect_rig
 from camcal.tasks.rigs.inspect_rig import as_data as rig_data

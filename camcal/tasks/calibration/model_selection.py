@@ -99,11 +99,13 @@ def select(
         if taken is not None and (own.failures or len(refused) >= _TRIES):
             break
         try:
-            calibration = intrinsics.calibrate(views, board, replace(options, model=model_named(own.name)))
+            calibration = intrinsics.calibrate(views, board, replace(options, model=model_named(own.name)), own.fit)
         except _FAILURES as error:
             failure = failure or error
             continue
-        found = Selection(calibration, assess(calibration, circle, order), candidates)
+        # without their fits, which hold all that was estimated
+        named = tuple(replace(candidate, fit=None) for candidate in candidates)
+        found = Selection(calibration, assess(calibration, circle, order), named)
         if taken is None or found.assessment.trustworthy:
             taken = _with_reason(found, order[0].name, failure if taken is None else None)
         if found.assessment.trustworthy:

@@ -19,10 +19,9 @@ from camcal.errors import CamcalError, InvalidInput
 from camcal.formats import cameras, native, provenance
 from camcal.formats.camera_file import CalibrationVerdict, CameraEntry, CameraFile, verdict_of_view
 from camcal.formats.tables import Table, cell, csv_rows, numbered_lines
-from camcal.images.load import load
+from camcal.images.files import KINDS, load, save
 from camcal.images.options import PINHOLE
 from camcal.images.remap import align_channels, build_maps
-from camcal.images.save import KINDS, save
 from camcal.images.video import frames
 from camcal.images.views import make_view
 from camcal.messages import Message

@@ -20,8 +20,8 @@ from camcal.arrays import Array, PixelArray
 from camcal.calibrate.frames import BLURRED, CHOSEN, MOVING, SAME, SURPLUS, FrameChoice, choose_frames
 from camcal.errors import CamcalError, InvalidInput
 from camcal.images import video
+from camcal.images.files import gray_8bit
 from camcal.images.image import Image
-from camcal.images.load import gray_8bit
 from camcal.images.video import focus, motion, reduced
 from camcal.progress import Progress
 from camcal.report.table import Column

@@ -203,7 +203,11 @@ def model_of(text: str, measured: Measured, start: Mapping[str, float]) -> Model
     """
     family = family_named(text)
     if family is not None:
-        return _of_family(family, measured, start)
+        columns = _roles(family, measured)
+        target = measured.target() if family.explicit else None
+        data = Data({role: columns[role] for role in family.roles}, target, measured.deviations())
+        curve, own = family.build(columns if target is None else columns | {"y": target})
+        return Model(curve, data, {name: start.get(name, own[name]) for name in curve.parameters})
     formula = parse(text)
     if formula.text.isidentifier() and formula.text not in {*measured.table.columns, *start}:
         known = ", ".join(["poly:N", *FAMILIES])
@@ -231,14 +235,6 @@ def _of_formula(formula: Expression, measured: Measured, start: Mapping[str, flo
     curve = Curve(formula.text, (formula,), tuple(parameters))
     data = Data(columns, measured.target(), measured.deviations())
     return Model(curve, data, {name: start[name] for name in parameters})
-
-
-def _of_family(family: Family, measured: Measured, start: Mapping[str, float]) -> Model:
-    columns = _roles(family, measured)
-    target = measured.target() if family.explicit else None
-    data = Data({role: columns[role] for role in family.roles}, target, measured.deviations())
-    curve, own = family.build(columns if target is None else columns | {"y": target})
-    return Model(curve, data, {name: start.get(name, own[name]) for name in curve.parameters})
 
 
 def _roles(family: Family, measured: Measured) -> dict[str, Array]:

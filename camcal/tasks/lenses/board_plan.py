@@ -19,7 +19,7 @@ from camcal.simulate.scene import observe
 from camcal.simulate.scene import views as scene_views
 from camcal.targets.board import APRILGRID, ASYMMETRIC_CIRCLES, Board
 from camcal.targets.board_types import TAG_BORDER
-from camcal.targets.markers.families import family_named
+from camcal.targets.pattern import family_named
 from camcal.tasks.lenses.optics_figures import AtDistance, at_distance
 from camcal.tasks.lenses.optics_setup import Setup
 from camcal.tasks.lenses.options import BoardOptions

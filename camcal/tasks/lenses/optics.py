@@ -172,7 +172,7 @@ def _sharp_words(report: OpticsReport) -> str:
 def _draw(report: OpticsReport, plot: Path) -> None:
     """Write the blur over distance; raises InvalidInput if the depth of field is not known."""
     from camcal.report.figures.figure import encoded
-    from camcal.report.figures.over_distance import BlurCurve, blur_over_distance
+    from camcal.report.figures.over_time import BlurCurve, blur_over_distance
 
     setup, sharp = report.setup, report.focus
     if sharp is None or sharp.near is None or sharp.far is None:

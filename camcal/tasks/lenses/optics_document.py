@@ -5,8 +5,8 @@ from dataclasses import asdict
 from math import hypot, isfinite, isnan, pi
 from typing import Any, TypeVar
 
-from camcal.optics.sensor_format import FORMATS, literal_mm, smallest_format
-from camcal.report.uncertain import number_text
+from camcal.optics.lens import FORMATS, literal_mm, smallest_format
+from camcal.report.table import number_text
 from camcal.targets.board_types import BOARD_TYPES
 from camcal.tasks.lenses.board_plan import BoardAt, BoardPlan
 from camcal.tasks.lenses.optics import OpticsReport, usable_range

@@ -13,8 +13,7 @@ from camcal.errors import InvalidInput
 from camcal.formats import cameras
 from camcal.messages import Message
 from camcal.optics import lens
-from camcal.optics.lens import effective_f_number
-from camcal.optics.sensor_format import SensorFormat, pixel_pitch, sensor_format
+from camcal.optics.lens import SensorFormat, effective_f_number, pixel_pitch, sensor_format
 from camcal.run.paths import split_address
 from camcal.tasks.given_camera import read_camera_file
 from camcal.tasks.lenses.options import OpticsOptions, is_possible

@@ -18,7 +18,6 @@ from camcal.options import (
     OUTPUT,
     SIZE,
     Argument,
-    Declared,
     Option,
     OptionsRecord,
     declared,
@@ -197,8 +196,10 @@ class OpticsOptions(OptionsRecord):
     def __post_init__(self) -> None:
         super().__post_init__()
         for each in declared(OpticsOptions):
-            if each.path in _POSITIVE and (value := each.of(self)) is not None:
-                _require_positive(each, value)
+            value = each.of(self) if each.path in _POSITIVE else None
+            if value is not None and not (is_possible(value) or (each.path == ("focus",) and value == inf)):
+                reason = "is implausible" if 0 < value < inf else "must be more than 0 and finite"
+                raise InvalidInput(f"{each.name} {reason}, found {each.written(value)}")
         if not all(map(is_possible, self.distances)):
             raise InvalidInput(f"--distance must be more than 0 m and at most {_MOST:g} m")
         if self.size is not None and max(self.size) > _MOST_PIXELS:
@@ -214,13 +215,6 @@ _POSITIVE = {
         "disparity_noise", "width",
     )
 }  # fmt: skip
-
-
-def _require_positive(each: Declared, value: float) -> None:
-    """Raise InvalidInput for a number that is not above 0, or not possible; a focus may be at infinity."""
-    if not (is_possible(value) or (each.path == ("focus",) and value == inf)):
-        reason = "is implausible" if 0 < value < inf else "must be more than 0 and finite"
-        raise InvalidInput(f"{each.name} {reason}, found {each.written(value)}")
 
 
 def is_possible(value: float) -> bool:

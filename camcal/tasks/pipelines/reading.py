@@ -18,17 +18,15 @@ from camcal.formats import documents
 from camcal.formats.documents import Document, Fault, child
 from camcal.options import Declared, declared
 from camcal.parsing import did_you_mean, in_one_line
-from camcal.run.option_paths import is_folder
-from camcal.run.options import located
+from camcal.run.options import is_folder, located
 from camcal.run.settings import is_note, read_settings, typed, wrong_settings
-from camcal.tasks.pipelines.step import Step
+from camcal.tasks.pipelines.step import NOT_STEPS, Step
 
 Commands = Mapping[str, type]
 
 KEYS = ("variables", "environment", "lists", "steps")
 STEP_KEYS = ("command", "arguments", "config", "foreach", "after")  # no option of a command is called so
 OF_ALL_STEPS = ("json", "quiet", "verbose", "max-pixels")  # options of commands that `camcal run` takes for all
-NOT_STEPS = ("run", "demo", "doctor")  # pipelines do not call each other, and nothing depends on the others
 
 _NAME = re.compile(r"[A-Za-z_][\w-]*\Z", re.ASCII)
 _PLACEHOLDER = re.compile(r"\$(\$?)\(([^()]*)\)")  # $(name), which YAML takes without quotes everywhere

@@ -14,14 +14,13 @@ from camcal.messages import Message, counted
 from camcal.parsing import did_you_mean
 from camcal.progress import SILENT, Outcome, Progress
 from camcal.run.fanout import fan_out
-from camcal.run.option_paths import is_folder
-from camcal.run.outputs import Run, watching
+from camcal.run.options import is_folder
+from camcal.run.outputs import Run, watch_files
 from camcal.run.process import available_cores
-from camcal.tasks.pipelines.options import PipelineOptions
 from camcal.tasks.pipelines.order import Order, missing_inputs, ordered
 from camcal.tasks.pipelines.reading import Commands, read_pipeline
 from camcal.tasks.pipelines.state import State, files_of
-from camcal.tasks.pipelines.step import Step, StepError, StepJob, StepResult, place_of
+from camcal.tasks.pipelines.step import PipelineOptions, Step, StepError, StepJob, StepResult, place_of
 
 DONE, UP_TO_DATE, FAILED, NOT_RUN = "done", "up to date", "failed", "not run"
 WOULD_RUN, STARTED = "would run", "started"
@@ -84,7 +83,7 @@ def run_pipeline(
     """
     text = files.read_text(options.pipeline)
     where, file, state_file = str(options.pipeline), options.pipeline.absolute(), options.state_file.absolute()
-    with _alone(options), watching() as ledger, chdir(file.parent):
+    with _alone(options), watch_files() as ledger, chdir(file.parent):
         with files.unwatched():
             pipeline = read_pipeline(text, where, dict(each.split("=", 1) for each in options.variables), commands)
             order = ordered(pipeline)

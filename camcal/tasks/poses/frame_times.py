@@ -11,7 +11,7 @@ from camcal.arrays import Array
 from camcal.errors import FileError, InvalidInput
 from camcal.formats import tables
 from camcal.images import exif, video
-from camcal.images.load import load
+from camcal.images.files import load
 from camcal.messages import Message
 from camcal.parsing import parse_number
 from camcal.progress import Progress
@@ -62,21 +62,17 @@ def _told(frames: Sequence[str], videos: Sequence[Path], timing: Timing, progres
         return np.arange(len(frames)) / timing.fps
     if own is None:
         raise _nothing_tells(videos)
-    return _of_video(videos[0], own, frames)
+    known = {video.frame_name(videos[0], number): stamp for number, stamp in enumerate(own)}
+    unknown = [frame for frame in frames if frame not in known]
+    if unknown:
+        raise InvalidInput("not a frame of the video; set --fps or --timestamps for all", where=unknown[0])
+    return np.array([known[frame] for frame in frames])
 
 
 def _nothing_tells(videos: Sequence[Path]) -> InvalidInput:
     if videos:
         return InvalidInput("No timestamps in the video; set --fps", where=str(videos[0]))
     return InvalidInput("unknown times of the frames: set --fps, or --timestamps with a file, name or exif")
-
-
-def _of_video(source: Path, own: Array, frames: Sequence[str]) -> Array:
-    known = {video.frame_name(source, number): stamp for number, stamp in enumerate(own)}
-    unknown = [frame for frame in frames if frame not in known]
-    if unknown:
-        raise InvalidInput("not a frame of the video; set --fps or --timestamps for all", where=unknown[0])
-    return np.array([known[frame] for frame in frames])
 
 
 def _warn_of_rate(frames: Sequence[str], own: Array | None, progress: Progress) -> None:

@@ -22,7 +22,7 @@ from camcal.formats.poses.record import PixelNoise, PoseKey, Poses
 from camcal.geometry.pose import Pose, inverse_jacobian
 from camcal.messages import Message, counted
 from camcal.progress import SILENT, Progress, warn_of
-from camcal.report import pose_words
+from camcal.report import track_words
 from camcal.report.overlays import Posed
 from camcal.run.journal import journal_beside
 from camcal.run.outputs import writes
@@ -76,7 +76,10 @@ def pnp(options: PnpOptions, progress: Progress = SILENT) -> PnpReport:
 def _estimated(options: PnpOptions, progress: Progress) -> PnpReport:
     file = read_camera_file(options.camera_file, options.given, progress, partial(_first_size_of, options))
     observer = _observer(options, file)
-    inverse = _is_inverse(options.pose, observer.frame)
+    names = (f"{observer.frame}_T_object", f"object_T_{observer.frame}")
+    if options.pose not in (None, *names):
+        raise InvalidInput(f"--pose {options.pose}: it is {names[0]} or {names[1]} here")
+    inverse = options.pose == names[1]
     settings = _settings(options)
     prior = read_prior(options.prior, of_object=not inverse)
     observer, seen = _look(options, observer, file, progress)
@@ -146,7 +149,10 @@ def _look(options: PnpOptions, observer: Observer, file: CameraFile, progress: P
     rig, detection = observer.rig, options.detection
     if options.points is not None:
         sizes = {name: camera.image_size for name, camera in rig.cameras.items()} if rig else None
-        seen = _seen_points(correspondences.read(options.points, sizes or observer.cameras[None].image_size))
+        read = correspondences.read(options.points, sizes or observer.cameras[None].image_size)
+        pairs = zip(read.views, read.ids, strict=True)
+        observations = tuple(Observation(PoseKey(view.image), (view,), (ids,)) for view, ids in pairs)
+        seen = PnpViews(observations, spread="stated" if read.absolute else "relative")
         return observer, replace(seen, observations=joined(seen.observations))
     if rig is not None:
         rig, seen = seen_by_rig(rig, file, options.seen, detection, progress)
@@ -154,20 +160,6 @@ def _look(options: PnpOptions, observer: Observer, file: CameraFile, progress: P
     _, name = options.address
     camera, seen = seen_by(observer.cameras[None], name, file, options.seen, detection, progress)
     return observer.resized({None: camera}, None), seen
-
-
-def _seen_points(read: correspondences.PointViews) -> PnpViews:
-    pairs = zip(read.views, read.ids, strict=True)
-    observations = tuple(Observation(PoseKey(view.image), (view,), (ids,)) for view, ids in pairs)
-    return PnpViews(observations, spread="stated" if read.absolute else "relative")
-
-
-def _is_inverse(pose: str | None, frame: str) -> bool:
-    """Return whether the name of a pose asks for object_T_camera; raises InvalidInput for a name that is neither."""
-    names = (f"{frame}_T_object", f"object_T_{frame}")
-    if pose not in (None, *names):
-        raise InvalidInput(f"--pose {pose}: it is {names[0]} or {names[1]} here")
-    return pose == names[1]
 
 
 def _settings(options: PnpOptions) -> PoseOptions:
@@ -283,7 +275,7 @@ def _pages(
         return []
     objects: dict[tuple[str, str | None], list[Posed]] = {}
     for pose_key, estimate in found.items():
-        words = pose_words.caption(straight, pose_key, straight.estimates[pose_key])
+        words = track_words.caption(straight, pose_key, straight.estimates[pose_key])
         for key, posed in observer.posed(observations[pose_key], estimate, words).items():
             objects.setdefault(key, []).append(posed)
     for image in {image for image, _ in objects}:
@@ -310,7 +302,11 @@ def read_prior(options: PriorOptions, of_object: bool) -> PosePrior | None:
     if options.path is None:
         return None
     if options.path.suffix.lower() in poses.SUFFIXES:
-        pose, covariance = _from_poses(options.path)
+        found = poses.read(options.path)
+        if len(found.estimates) != 1:
+            raise InvalidInput(f"holds {len(found.estimates)} poses; a prior is one", where=str(options.path))
+        record = next(iter((found if found.of_object else found.inverse()).estimates.values()))
+        pose, covariance = record.transform, record.covariance
     else:
         pose, covariance = pose_text.read(options.path), None
         if not of_object:
@@ -322,14 +318,6 @@ def read_prior(options: PriorOptions, of_object: bool) -> PosePrior | None:
             "a pose as text has no covariance: give --prior-sigma METRES,DEGREES", where=str(options.path)
         )
     return PosePrior(pose, covariance)
-
-
-def _from_poses(path: Path) -> tuple[Pose, Array]:
-    found = poses.read(path)
-    if len(found.estimates) != 1:
-        raise InvalidInput(f"holds {len(found.estimates)} poses; a prior is one", where=str(path))
-    record = next(iter((found if found.of_object else found.inverse()).estimates.values()))
-    return record.transform, record.covariance
 
 
 def _isotropic(pose: Pose, sigma: tuple[float, float], of_object: bool) -> Array:

@@ -19,13 +19,12 @@ from camcal.estimate.poses.records import Correspondences, PoseEstimate, PoseOpt
 from camcal.formats.camera_file import CalibrationNoise, CameraFile
 from camcal.formats.poses.record import PoseKey
 from camcal.geometry.pose import Pose
-from camcal.images.load import gray_8bit
-from camcal.images.save import KINDS, save
+from camcal.images.files import KINDS, gray_8bit, save
 from camcal.images.video import frame_name, frames
 from camcal.messages import Message
 from camcal.parsing import did_you_mean
 from camcal.progress import Progress, values_of, warn_of
-from camcal.raw.detection_image import read_detection_image
+from camcal.raw.reading import read_detection_image
 from camcal.report.overlays import Posed, overlay
 from camcal.run.fanout import fan_out
 from camcal.run.outputs import claim

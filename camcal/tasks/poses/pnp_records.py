@@ -40,6 +40,10 @@ def record_of(
     """
     lengths = np.linalg.norm(estimate.residuals[estimate.inliers], axis=1)
     ids = np.concatenate(observation.ids)
+    shares = []  # of each camera's image, that the box around the inliers takes
+    for view, mask in observation.by_view(estimate.inliers):
+        extent = np.ptp(view.pixels[mask], axis=0) if mask.any() else np.zeros(2)
+        shares.append(float(np.prod(extent / cameras[view.camera].image_size)))
     return PoseRecord(
         estimate.transform,
         estimate.covariance,
@@ -56,7 +60,7 @@ def record_of(
         planarity=_finite(estimate.planarity),
         least_depth=_finite(estimate.least_depth),
         tilt_rad=estimate.tilt_rad,
-        image_share=_image_share(estimate.inliers, observation, cameras),
+        image_share=max(shares),
         condition=_finite(estimate.condition),
     )
 
@@ -94,15 +98,6 @@ def squared(residuals: Array, observation: Observation) -> Array:
         weights = np.tile(np.eye(2), (len(part), 1, 1)) if view.covariance is None else np.linalg.inv(view.covariance)
         parts.append(np.einsum("ni,nij,nj->n", part, weights, part))
     return np.concatenate(parts)
-
-
-def _image_share(inliers: Array, observation: Observation, cameras: Mapping[str | None, Camera]) -> float:
-    """Return the share of the image that the box around the inliers takes, the largest of a rig's cameras."""
-    shares = []
-    for view, mask in observation.by_view(inliers):
-        extent = np.ptp(view.pixels[mask], axis=0) if mask.any() else np.zeros(2)
-        shares.append(float(np.prod(extent / cameras[view.camera].image_size)))
-    return max(shares)
 
 
 def of_units(estimates: Sequence[PoseEstimate], observations: Sequence[Observation]) -> list[Message]:

@@ -17,11 +17,10 @@ from camcal.formats.poses.record import PoseKey
 from camcal.images.video import frames
 from camcal.messages import Message
 from camcal.progress import Progress, warn_of
-from camcal.raw.detection_image import read_detection_image
+from camcal.raw.reading import read_detection_image
 from camcal.run.paths import find_media
-from camcal.targets.board import Board
+from camcal.targets.board import Board, Surface
 from camcal.targets.detection import BoardDetection
-from camcal.targets.surface import Surface
 from camcal.tasks.calibration.board_views import BoardViews, board_views, is_table
 from camcal.tasks.calibration.which_board import symmetry_warnings
 from camcal.tasks.poses.options import DetectionOptions

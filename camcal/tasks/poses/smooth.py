@@ -275,7 +275,7 @@ def _of_poses(
 def _pose_panels(measured: Trajectory, smoothed: SmoothedPoses, shown: Trajectory) -> list[Panel]:
     """Return translations, and rotations as vectors from the first one; without what covariances cannot say."""
     first = smoothed.trajectory.rotations[0].T
-    lines, points = (_six(poses, first) for poses in (shown, measured))
+    lines, points = (np.hstack([poses.translations, so3.log(poses.rotations @ first)]) for poses in (shown, measured))
     lines[:, 3:] = broken_at_half_turns(lines[:, 3:])
     covariances = shown.covariances if shown.covariances is not None else np.zeros((len(shown), 6, 6))
     std = np.sqrt(np.einsum("kii->ki", covariances))
@@ -283,10 +283,6 @@ def _pose_panels(measured: Trajectory, smoothed: SmoothedPoses, shown: Trajector
         Panel(name, (shown.stamps, lines[:, k], std[:, k]), (measured.stamps, points[:, k]), smoothed.outliers)
         for k, name in enumerate(_AXES)
     ]
-
-
-def _six(poses: Trajectory, first: Array) -> Array:
-    return np.hstack([poses.translations, so3.log(poses.rotations @ first)])
 
 
 def _pair(option: str, numbers: tuple[float, ...] | None) -> tuple[float, float] | None:

@@ -12,23 +12,23 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.errors import CamcalError, FileError
 from camcal.estimate.poses.records import Correspondences
+from camcal.images.files import gray_8bit
 from camcal.images.image import Image
-from camcal.images.load import gray_8bit
 from camcal.images.video import frame_name, frames
 from camcal.messages import Message
 from camcal.progress import SILENT, Outcome, Progress, warn_of
-from camcal.raw.detection_image import read_detection_image
+from camcal.raw.reading import read_detection_image
 from camcal.run import fingerprint
 from camcal.run.fanout import fan_out
-from camcal.run.journal import Found, journaled
+from camcal.run.journal import journaled
 from camcal.run.options import DEFAULT_BATCH, BatchOptions
 from camcal.run.paths import find_media
+from camcal.run.resume import Items
 from camcal.targets.board import CHARUCO, Board
 from camcal.targets.checker.charuco import arrangements
 from camcal.targets.detect import detect, require_findable
 from camcal.targets.detection import BoardDetection, Detections
-from camcal.targets.markers.markers import Markers, detect_markers
-from camcal.targets.markers.tags import TagObjects
+from camcal.targets.markers import Markers, TagObjects, detect_markers
 from camcal.tasks.calibration.board_views import BoardViews
 from camcal.tasks.calibration.which_board import board_warnings, pattern_lines, symmetry_warnings
 
@@ -134,7 +134,7 @@ def _search(
     timeout = None if jobs == 1 else _TIMEOUT_S
     work = partial(_look_at, family=tags.family, keep_repeated=keep_repeated)
     settings = fingerprint.of_data([fingerprint.versions(), tags.family, keep_repeated])
-    kept: Found[_Frame, _ImageMarkers] = Found(settings, _looked_at, _ImageMarkers)
+    kept: Items[_Frame, _ImageMarkers] = Items(settings, _looked_at, result=_ImageMarkers)
     found = journaled(work, looks, kept, jobs=jobs, batch=batch, what=what, progress=progress, timeout=timeout)
     return [outcome.of(_Frame(outcome.item.name)) for outcome in found]
 

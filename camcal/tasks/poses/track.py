@@ -22,8 +22,8 @@ from camcal.parsing import did_you_mean
 from camcal.progress import SILENT, Progress, warn_of
 from camcal.report import track_words
 from camcal.run.outputs import writes
-from camcal.run.paths import Media, find_media, refuse_collisions, require_there
-from camcal.targets.markers.tags import single_name
+from camcal.run.paths import find_media, refuse_collisions, require_there
+from camcal.targets.markers import single_name
 from camcal.tasks.figure_files import figure_data, write_figures
 from camcal.tasks.given_camera import require_no_image
 from camcal.tasks.poses.frame_times import frame_times, require_times
@@ -78,7 +78,11 @@ def track(options: TrackingOptions, progress: Progress = SILENT) -> TrackReport:
 
     Raises InvalidInput, FileError, or InsufficientData if no object can be followed; nothing is written then.
     """
-    _check(options)
+    if options.output is not None:
+        if options.kind is not None or options.output.suffix.lower() not in SUFFIXES:
+            trajectories.kind_of(options.output, options.kind)
+    elif options.kind is not None:
+        raise InvalidInput("--format needs an output (-o)")
     seen = _of_file(options) if options.of_poses else _of_images(options, progress)
     if seen.poses.unit != "m":
         raise InvalidInput(f"lengths are in {seen.poses.unit}, not in metres; give the board size")
@@ -142,14 +146,6 @@ def _tracking(options: TrackingOptions) -> TrackOptions:
     return TrackOptions(noise, GateOptions(options.gate, options.max_gap), lag, options.fill)
 
 
-def _check(options: TrackingOptions) -> None:
-    if options.output is not None:
-        if options.kind is not None or options.output.suffix.lower() not in SUFFIXES:
-            trajectories.kind_of(options.output, options.kind)
-    elif options.kind is not None:
-        raise InvalidInput("--format needs an output (-o)")
-
-
 def _of_file(options: TrackingOptions) -> _FramePoses:
     path = Path(options.frames[0])
     require_no_image(path)
@@ -183,9 +179,12 @@ def _of_images(options: TrackingOptions, progress: Progress) -> _FramePoses:
     )
     known = {str(pose_key) for pose_key in found.poses.missing}
     failed = tuple(line for line in found.failed if line not in known)
+    names = {pose_key.image for pose_key in (*found.poses.estimates, *found.poses.missing)} | {
+        path.as_posix() for path in media.images
+    }
     return _FramePoses(
         found.poses,
-        _frame_names(found.poses, media),
+        tuple(sorted(names, key=files.natural_key)),
         videos=media.videos,
         warnings=found.warnings,
         lines=found.lines,
@@ -193,14 +192,6 @@ def _of_images(options: TrackingOptions, progress: Progress) -> _FramePoses:
         views=found.views,
         camera=found.camera,
     )
-
-
-def _frame_names(seen: Poses, media: Media) -> tuple[str, ...]:
-    """Return the names of all frames, in natural order, images that could not be read included."""
-    names = {pose_key.image for pose_key in (*seen.estimates, *seen.missing)} | {
-        path.as_posix() for path in media.images
-    }
-    return tuple(sorted(names, key=files.natural_key))
 
 
 def _direction(options: TrackingOptions, seen: Poses) -> str:
@@ -214,14 +205,11 @@ def _direction(options: TrackingOptions, seen: Poses) -> str:
     return turned if options.output is not None and _form(options) in _OF_CAMERA else straight
 
 
-def _has_states(output: Path) -> bool:
-    """Return whether all frames and their state are written under this name."""
-    return files.is_stream(output) or output.suffix.lower() in SUFFIXES
-
-
 def _form(options: TrackingOptions) -> str | None:
     """Return the form of trajectory that is written, None for a track with all its frames."""
-    if options.output is None or (options.kind is None and _has_states(options.output)):
+    if options.output is None or (
+        options.kind is None and (files.is_stream(options.output) or options.output.suffix.lower() in SUFFIXES)
+    ):
         return None
     return trajectories.kind_of(options.output, options.kind)
 

@@ -1,10 +1,12 @@
 """`camcal demosaic`: raw frames to images, in parallel.
 
-Settings that repeat a development bit for bit are written beside every image. With --preview-patterns, what a mosaic
-resembles with each of the four patterns.
+Settings that repeat a development bit for bit are written beside every image. The frames and maps that correct raw
+frames are read once, for all frames of a sensor. With --preview-patterns, what a mosaic resembles with each of the four
+patterns; with --make-bad-pixel-map, the pixels of a sensor that dark frames give away.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -17,27 +19,36 @@ from camcal import files
 from camcal.arrays import Array
 from camcal.errors import InvalidInput, Located
 from camcal.formats import emit
+from camcal.images.files import KINDS, save
 from camcal.images.image import Image
-from camcal.images.save import KINDS, save
 from camcal.options import NUMBERS, declared
 from camcal.progress import SILENT, Outcome, Progress, reused
-from camcal.raw.colour import DTYPES
+from camcal.raw import calibration_frames
+from camcal.raw.calibration_frames import dark_average, flat_gain, stack
 from camcal.raw.demosaic import resolved
-from camcal.raw.develop import Corrections, Picture, clipped_shares, develop, negative
+from camcal.raw.develop import (
+    DTYPES,
+    NO_CORRECTIONS,
+    Corrections,
+    Picture,
+    clipped_shares,
+    develop,
+    linearise,
+    negative,
+)
 from camcal.raw.dng import write_dng
 from camcal.raw.frame_facts import check_phase, green_diagonal, likely_white, low_peak
-from camcal.raw.mosaic import Mosaic
-from camcal.raw.names import HALF, PATTERNS
+from camcal.raw.mosaic import Mosaic, channel_names
+from camcal.raw.names import HALF, MONO, PATTERNS
 from camcal.raw.options import BARE_SUFFIXES, GRAY_WORLD, HEADERLESS_SUFFIXES, NO_BALANCE, Balance, Development
-from camcal.raw.planes import Each, one_by_one
-from camcal.raw.reading import missing_pattern
+from camcal.raw.reading import missing_pattern, read_mosaic
+from camcal.raw.tiles import Each, one_by_one
 from camcal.run import fingerprint
-from camcal.run.fanout import over_threads
 from camcal.run.outputs import claim, writes
 from camcal.run.paths import find_images, place
+from camcal.run.process import over_threads
 from camcal.run.resume import Items, resumable
-from camcal.tasks.raw.options import DemosaicOptions
-from camcal.tasks.raw.raw_corrections import load_corrections, read_frame
+from camcal.tasks.raw.options import NO_FILES, CorrectionFiles, DemosaicOptions, RawInput
 
 DNG = ".dng"
 
@@ -95,11 +106,13 @@ def _outcomes(
     """Yield what becomes of every frame; raises what keeps a single one from being developed."""
     jobs, batch = options.jobs, options.batch
     alone = len(outputs) == 1
-    work = partial(_develop_alone if alone else _develop_file, options=options, corrections=corrections)
-    made: Items[_Item, DevelopedFrame] = Items(_fingerprint(options, corrections), _inputs, _written, DevelopedFrame)
-    frames = list(outputs.items())
+    work = partial(_develop_file, options=options, corrections=corrections, alone=alone)
+    made: Items[_Item, DevelopedFrame] = Items(
+        _fingerprint(options, corrections), _inputs_of, _outputs_of, DevelopedFrame
+    )
+    items = list(outputs.items())
     for outcome in resumable(
-        work, frames, made, jobs=jobs, batch=batch, what="demosaic", progress=progress, alone=alone
+        work, items, made, jobs=jobs, batch=batch, what="demosaic", progress=progress, alone=alone
     ):
         yield outcome.of(outcome.item[0])
 
@@ -114,26 +127,19 @@ def _fingerprint(options: DemosaicOptions, corrections: Corrections) -> str:
     )
 
 
-def _inputs(item: _Item) -> list[Path | str]:
+def _inputs_of(item: _Item) -> list[Path | str]:
     """Return a frame and its name, which the settings file holds."""
     return [item[0], item[0].as_posix()]
 
 
-def _written(item: _Item) -> list[Path]:
+def _outputs_of(item: _Item) -> list[Path]:
     return [item[1], _settings_beside(item[1])]
 
 
-def _develop_alone(item: _Item, options: DemosaicOptions, corrections: Corrections) -> DevelopedFrame:
-    """Return what was written of a frame whose tiles all cores work on."""
-    with over_threads(options.jobs) as each:
-        return _develop_file(item, options, corrections, each)
-
-
-def _develop_file(
-    item: _Item, options: DemosaicOptions, corrections: Corrections, each: Each = one_by_one
-) -> DevelopedFrame:
+def _develop_file(item: _Item, options: DemosaicOptions, corrections: Corrections, *, alone: bool) -> DevelopedFrame:
+    """Return what was written of a frame; alone: all cores work on its tiles."""
     source, output = item
-    with Located(source):
+    with Located(source), over_threads(options.jobs) if alone else nullcontext(one_by_one) as each:
         return _develop(source, output, options, corrections, each)
 
 
@@ -191,7 +197,7 @@ def _record(frame: Mosaic, developed: DevelopedFrame, options: DemosaicOptions) 
         "black": list(developed.black),
         "white": developed.white,
         "clipped": list(developed.clipped),
-        "capture": _capture_facts(frame),
+        "capture": {name: value for name, value in asdict(frame.capture).items() if value not in (None, "")},
     }
     if options.development.algorithm == HALF:
         record["pixel_of_the_mosaic"] = "(2 x + 0.5, 2 y + 0.5)"
@@ -242,20 +248,6 @@ def _settings_text(options: DemosaicOptions, record: Mapping[str, Any]) -> str:
     return emit.document({**settings, "x_record": {"camcal": camcal.__version__, **record}}, _COMMENT)
 
 
-def _capture_facts(frame: Mosaic) -> dict[str, Any]:
-    """Return what the file of a frame says of its capture, without what it does not say."""
-    capture = frame.capture
-    facts = {
-        "make": capture.make,
-        "model": capture.model,
-        "exposure_s": capture.exposure_s,
-        "iso": capture.iso,
-        "f_number": capture.f_number,
-        "focal_mm": capture.focal_mm,
-    }
-    return {name: value for name, value in facts.items() if value not in (None, "")}
-
-
 @dataclass(frozen=True)
 class PatternPreviews:
     """The thumbnails of one frame by pattern, and the patterns that its greens allow: two, or all four."""
@@ -283,7 +275,9 @@ def preview_patterns(options: DemosaicOptions) -> list[PatternPreviews]:
         thumbnails = {}
         for pattern in PATTERNS:
             path = _preview(options, source, pattern)
-            save(path, _thumbnail(develop(replace(frame, pattern=pattern), look).pixels))
+            pixels = develop(replace(frame, pattern=pattern), look).pixels
+            step = -(-max(pixels.shape[:2]) // _LONGEST)  # every so many-th pixel, which keeps the colours
+            save(path, np.ascontiguousarray(pixels[::step, ::step]))
             thumbnails[pattern] = path
         main = green_diagonal(frame.values, frame.black).main
         likely = tuple(pattern for pattern in PATTERNS if main is None or (pattern[0] == "G") == main)
@@ -293,12 +287,6 @@ def preview_patterns(options: DemosaicOptions) -> list[PatternPreviews]:
 
 def _preview(options: DemosaicOptions, source: Path, pattern: str) -> Path:
     return options.output / f"{source.stem}_{pattern}.png"
-
-
-def _thumbnail(pixels: Array) -> Array:
-    """Return every so many-th pixel of an image: a thumbnail that keeps its colours."""
-    step = -(-max(pixels.shape[:2]) // _LONGEST)
-    return np.ascontiguousarray(pixels[::step, ::step])
 
 
 def previews_document(previews: list[PatternPreviews]) -> dict[str, Any]:
@@ -313,3 +301,88 @@ def previews_document(previews: list[PatternPreviews]) -> dict[str, Any]:
             for each in previews
         ]
     }
+
+
+_FOUR = ("R", "Gr", "Gb", "B")  # the order in which four black levels are given
+
+
+def read_frame(path: Path, reading: RawInput) -> Mosaic:
+    """Return the raw frame of a file, with the levels that were given in place of its own."""
+    frame = read_mosaic(path, reading.pattern, reading.layout)
+    if reading.black is None and reading.white is None:
+        return frame
+    black = frame.black if reading.black is None else _laid_out(reading.black, frame)
+    with Located(path):
+        return replace(frame, black=black, white=frame.white if reading.white is None else reading.white)
+
+
+def _laid_out(black: tuple[float, ...], frame: Mosaic) -> Array:
+    if len(black) == 1:
+        return np.full(frame.black.shape, black[0])
+    if frame.black.shape != (2, 2):
+        raise InvalidInput("four black levels need a Bayer sensor; give one")
+    if frame.pattern == MONO:
+        return np.reshape(black, (2, 2))
+    levels = dict(zip(_FOUR, black, strict=True))
+    return np.reshape([levels[name] for name in channel_names(frame.pattern)], (2, 2))
+
+
+def load_corrections(given: CorrectionFiles, reading: RawInput, first: Path) -> Corrections:
+    """Return the corrections for the frames of which this is the first.
+
+    Raises FileError or InvalidInput if one of the files is not what it should be.
+    """
+    if given == NO_FILES:
+        return NO_CORRECTIONS
+    like = read_frame(first, reading)
+    dark = dark_average(frames(given.dark, reading), like.white) if given.dark else None
+    corrections = Corrections(dark=dark, bad=calibration_frames.read_map(given.bad, like.size) if given.bad else None)
+    if given.flat:
+        flat = stack(frames(given.flat, reading)).mean
+        corrections.require_size(like)
+        light = linearise(replace(like, values=flat), dark)
+        corrections = replace(corrections, flat=flat_gain(light, like.pattern))
+    corrections.require_size(like)
+    return corrections
+
+
+def frames(inputs: Sequence[Path | str], reading: RawInput) -> Iterator[Array]:
+    """Yield the counts of raw frames, one after the other."""
+    return (read_frame(path, reading).values for path in find_images(inputs, also=HEADERLESS_SUFFIXES))
+
+
+@dataclass(frozen=True)
+class BadPixelMap:
+    """The map that was written: how many frames it is made of, how many pixels are bad, of how many."""
+
+    output: Path
+    frames: int
+    bad: int
+    pixels: int
+
+
+@writes
+def make_bad_pixel_map(options: DemosaicOptions, progress: Progress = SILENT) -> BadPixelMap:
+    """Return what was found after writing the map to options.output: text as dcraw reads it, PNG or NPY.
+
+    Raises FileError or InvalidInput for files that are no raw frames of one size, InsufficientData if too many pixels
+    stand out to be called bad.
+    """
+    sources = find_images(options.inputs, recursive=options.recursive, also=HEADERLESS_SUFFIXES)
+    pattern = options.reading.pattern or read_frame(sources[0], options.reading).pattern
+    progress.start("dark frames", len(sources))
+
+    def counts() -> Any:
+        for source in sources:
+            yield read_frame(source, options.reading).values
+            progress.advance()
+
+    mask = calibration_frames.make_map(counts(), pattern or MONO)
+    progress.finish()
+    calibration_frames.write_map(options.output, mask)
+    return BadPixelMap(options.output, len(sources), int(np.count_nonzero(mask)), mask.size)
+
+
+def map_document(found: BadPixelMap) -> dict[str, Any]:
+    """Return the result as plain data for --json."""
+    return {"bad_pixel_map": found.output.as_posix(), "frames": found.frames, "bad": found.bad, "pixels": found.pixels}

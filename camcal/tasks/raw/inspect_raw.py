@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from camcal.arrays import Array
 from camcal.images.image import RAW_SUFFIXES
 from camcal.raw.frame_facts import BINS, ChannelFacts, channel_facts
 from camcal.raw.headerless import CandidateLayout, fitting_layouts, length_of
@@ -16,8 +15,8 @@ from camcal.raw.names import MONO
 from camcal.raw.options import BARE_SUFFIXES, HEADERLESS_SUFFIXES
 from camcal.raw.pixel_formats import pixel_format_named
 from camcal.raw.reading import read_mosaic
-from camcal.report.letters import letters
 from camcal.report.table import Column
+from camcal.report.text_figures import letters
 from camcal.tasks.options import InspectOptions
 
 LAYOUT_COLUMNS = (Column("size"), Column("stride"), Column("format", wraps=True))
@@ -137,14 +136,11 @@ def _per_cent(share: float) -> float:
 
 def histogram_lines(inspection: RawInspection, _: int, encoding: str | None) -> list[str]:
     """Return a line of columns for every channel; their heights are square roots, so that small numbers show."""
-    column = letters(encoding).column
-    rows = [f"  {facts.name:4} |{_columns(facts.histogram, column)}|" for facts in inspection.channels]
+    column, rows = letters(encoding).column, []
+    for facts in inspection.channels:
+        heights = np.ceil((len(column) - 1) * np.sqrt(facts.histogram / max(facts.histogram.max(), 1)))
+        rows.append(f"  {facts.name:4} |{''.join(column[int(height)] for height in heights)}|")
     return [f"histogram, {BINS} bins from 0 to {inspection.frame.white:g}", *rows]
-
-
-def _columns(histogram: Array, column: str) -> str:
-    heights = np.ceil((len(column) - 1) * np.sqrt(histogram / max(histogram.max(), 1)))
-    return "".join(column[int(height)] for height in heights)
 
 
 def document(inspection: RawInspection) -> dict[str, Any]:

@@ -19,25 +19,24 @@ from camcal.errors import InsufficientData, InvalidInput, Located
 from camcal.formats import emit, provenance
 from camcal.images.image import RAW_SUFFIXES
 from camcal.messages import Message
-from camcal.optics.sensor_format import pixel_pitch, sensor_format
+from camcal.optics.lens import pixel_pitch, sensor_format
 from camcal.options import command_line
 from camcal.progress import SILENT, Progress, values_of, warn_of
-from camcal.raw.emva import Curve, Figure, Figures
+from camcal.raw.emva import DECIBELS_A_STOP, FULL_WELL, Characterisation, Curve, Figure, Figures, characterise
 from camcal.raw.frame_facts import Widened, likely_white, low_peak, used_counts, widened
 from camcal.raw.level import Level, measure_level
 from camcal.raw.mosaic import Mosaic
 from camcal.raw.options import HEADERLESS_SUFFIXES
-from camcal.raw.sensor import DECIBELS_A_STOP, FULL_WELL, Characterisation, characterise
+from camcal.report.figures.curves import characterisation, sensor_plots
 from camcal.report.figures.figure import encoded
-from camcal.report.figures.sensor import characterisation, sensor_plots
-from camcal.report.uncertain import value_and_std
+from camcal.report.table import value_and_std
 from camcal.run.fanout import fan_out
 from camcal.run.outputs import writes
 from camcal.run.paths import find_images
 from camcal.tasks.figure_files import figure_data, write_figures
 from camcal.tasks.plot_documents import SENSOR
+from camcal.tasks.raw.demosaic import read_frame
 from camcal.tasks.raw.options import RawInput, SensorOptions
-from camcal.tasks.raw.raw_corrections import read_frame
 
 _EXPOSURE = re.compile(r"(?:^|[_ -])([0-9]+(?:\.[0-9]+)?) ?(us|ms|s)(?:$|[_ -])", re.IGNORECASE)
 _ISO = re.compile(r"(?:^|[_ -])iso ?([0-9]+)(?:$|[_ -])", re.IGNORECASE)
@@ -110,12 +109,12 @@ def find_sets(
 
 def _files_of(one: Path | str, exposure_s: float | None) -> list[FrameSet]:
     """Return the files of an input, each by itself, with what their folders' names tell."""
-    found = []
+    files = []
     for path in find_images([one], recursive=True, also=HEADERLESS_SUFFIXES):
         exposure, iso = _EXPOSURE.search(path.parent.name), _ISO.search(path.parent.name)
         named = float(exposure[1]) * _SECONDS[exposure[2].lower()] if exposure else None
-        found.append(FrameSet((path,), named if exposure_s is None else exposure_s, float(iso[1]) if iso else None))
-    return found
+        files.append(FrameSet((path,), named if exposure_s is None else exposure_s, float(iso[1]) if iso else None))
+    return files
 
 
 def _read(item: FrameSet, reading: RawInput) -> FrameSet:
@@ -171,27 +170,31 @@ def sensor(options: SensorOptions, progress: Progress = SILENT) -> SensorReport:
     if options.sensor_format is not None:
         sensor_format(options.sensor_format)
     darks = _sets(options, progress)
-    known = [one.mean for one in darks if one.mean is not None]
-    flats = _sets(options, progress, black=min(known, default=0.0))
+    dark_means = [one.mean for one in darks if one.mean is not None]
+    flats = _sets(options, progress, black=min(dark_means, default=0.0))
     iso, flats, darks = _at_one_speed(flats, darks, options.iso)
-    _require_apart(flats, darks)
-    spread = _widening((*flats, *darks), options, progress)
+    of_light, of_darkness = ({path for one in sets for path in one.paths} for sets in (flats, darks))
+    if both := of_light & of_darkness:
+        raise InvalidInput("is both a flat and a dark frame", where=str(min(both)))
+    look = partial(_used_counts, reading=options.reading)
+    firsts = [one.paths[0] for one in (*flats, *darks)]
+    spread = widened(values_of(fan_out(look, firsts, jobs=options.jobs, what="looking at counts", progress=progress)))
     work = partial(_measure, reading=options.reading, white=options.white, spread=spread)
-    found = characterise(
+    characterised = characterise(
         *(
             values_of(fan_out(work, sets, jobs=options.jobs, what="measuring frames", progress=progress))
             for sets in (flats, darks)
         )
     )
-    warnings = (*_counts_warnings(found, spread, options), *found.warnings)
+    warnings = (*_counts_warnings(characterised, spread, options), *characterised.warnings)
     name = options.sensor_format
-    pitch = options.pitch if name is None else pixel_pitch(sensor_format(name), found.size)
-    report = SensorReport(found, tuple(flats), tuple(darks), iso, pitch, warnings)
+    pitch = options.pitch if name is None else pixel_pitch(sensor_format(name), characterised.size)
+    report = SensorReport(characterised, tuple(flats), tuple(darks), iso, pitch, warnings)
     if options.plot is not None:
-        files.write_bytes(options.plot, encoded(characterisation(found), options.plot.suffix))
+        files.write_bytes(options.plot, encoded(characterisation(characterised), options.plot.suffix))
     files.write_text(options.output, emit.document(_file(report, options), COMMENT))
     warn_of(warnings, progress)
-    return replace(report, figures=write_figures(options.figures, sensor_plots(found)))
+    return replace(report, figures=write_figures(options.figures, sensor_plots(characterised)))
 
 
 def _sets(options: SensorOptions, progress: Progress, black: float | None = None) -> list[FrameSet]:
@@ -218,40 +221,23 @@ def _at_one_speed(
     return iso, kept[0], kept[1]
 
 
-def _require_apart(flats: Sequence[FrameSet], darks: Sequence[FrameSet]) -> None:
-    """Raise InvalidInput if a frame is a flat and a dark one."""
-    of_light, of_darkness = ({path for one in sets for path in one.paths} for sets in (flats, darks))
-    if both := of_light & of_darkness:
-        raise InvalidInput("is both a flat and a dark frame", where=str(min(both)))
-
-
-def _widening(sets: Sequence[FrameSet], options: SensorOptions, progress: Progress) -> Widened | None:
-    """Return how the counts of the frames became 16 bits, by one frame of each level; None if they did not."""
-    work = partial(_used_counts, reading=options.reading)
-    paths = [one.paths[0] for one in sets]
-    return widened(values_of(fan_out(work, paths, jobs=options.jobs, what="looking at counts", progress=progress)))
-
-
 def _used_counts(path: Path, reading: RawInput) -> Array:
     return used_counts(read_frame(path, reading))
 
 
 def _measure(one: FrameSet, reading: RawInput, white: float | None, spread: Widened | None) -> Level:
-    frames = (_own_counts(read_frame(path, reading), spread) for path in one.paths)
+    """Return the statistics of a level in the counts of the sensor: rounding noise is that of one of them."""
+    frames: Iterator[Mosaic] = (read_frame(path, reading) for path in one.paths)
+    if spread is not None:
+        step, sensor_white = spread.step, spread.white
+        frames = (
+            replace(frame, values=np.rint(frame.values / step).astype(np.uint16), white=sensor_white)
+            for frame in frames
+        )
+        if white is not None and white > sensor_white:  # meant in the counts of the file
+            white /= step
     with Located(one.where):
-        return measure_level(frames, one.exposure_s, _own_white(white, spread))
-
-
-def _own_counts(frame: Mosaic, spread: Widened | None) -> Mosaic:
-    """Return a frame in the counts of its sensor: rounding noise is that of one of them."""
-    if spread is None:
-        return frame
-    return replace(frame, values=np.rint(frame.values / spread.step).astype(np.uint16), white=spread.white)
-
-
-def _own_white(white: float | None, spread: Widened | None) -> float | None:
-    """Return the white level in counts of the sensor; one that it cannot reach was meant in those of the file."""
-    return white / spread.step if white is not None and spread is not None and white > spread.white else white
+        return measure_level(frames, one.exposure_s, white)
 
 
 def _counts_warnings(found: Characterisation, spread: Widened | None, options: SensorOptions) -> Iterator[Message]:
@@ -268,27 +254,27 @@ def _counts_warnings(found: Characterisation, spread: Widened | None, options: S
 
 def sensor_block(report: SensorReport) -> dict[str, Any]:
     """Return the block `sensor` of a camera file."""
-    found, white = report.sensor.figures, report.sensor.white
+    figures, white = report.sensor.figures, report.sensor.white
     return {
         "pixel_pitch_um": None if report.pitch is None else 1e6 * report.pitch,
-        "gain_e_per_dn": 1 / found.gain_dn_per_e.value,
-        "read_noise_e": found.read_noise_e.value,
-        "full_well_e": found.full_well_e.value,
-        "black_level_dn": max(found.black_dn.value, 0.0),
+        "gain_e_per_dn": 1 / figures.gain_dn_per_e.value,
+        "read_noise_e": figures.read_noise_e.value,
+        "full_well_e": figures.full_well_e.value,
+        "black_level_dn": max(figures.black_dn.value, 0.0),
         # A file of 16 bits may hold fewer: then the largest one is never seen.
         "bits": ceil(log2(white + 1)) if report.sensor.peak > white / 2 else None,
     }
 
 
 def _file(report: SensorReport, options: SensorOptions) -> dict[str, Any]:
-    found = report.sensor
+    sensor = report.sensor
     images = [{"file": path.as_posix()} for one in (*report.flats, *report.darks) for path in one.paths]
     return {
         "format": SENSOR,
         "version": VERSION,
         **_content(report),
         "warnings": list(map(str, report.warnings)),
-        "curves": {name: _curve(curve) for name, curve in found.curves.items()},
+        "curves": {name: _curve(curve) for name, curve in sensor.curves.items()},
         "provenance": provenance.build(command_line("sensor", options), None, images),
     }
 
@@ -300,17 +286,17 @@ def document(report: SensorReport, options: SensorOptions) -> dict[str, Any]:
 
 
 def _content(report: SensorReport) -> dict[str, Any]:
-    found = report.sensor
+    sensor = report.sensor
     return {
-        "image_size": list(found.size),
+        "image_size": list(sensor.size),
         "iso": report.iso,
         "levels": {"flat": len(report.flats), "dark": len(report.darks)},
         "sensor": {key: value for key, value in sensor_block(report).items() if value is not None},
-        "saturation": found.saturation,
-        "rounding_limited": found.limited,
-        "figures": _numbers(found.figures),
-        "dynamic_range_stops": found.dynamic_range_stops,
-        "phases": {name: _numbers(part) for name, part in found.phases.items()},
+        "saturation": sensor.saturation,
+        "rounding_limited": sensor.limited,
+        "figures": _numbers(sensor.figures),
+        "dynamic_range_stops": sensor.dynamic_range_stops,
+        "phases": {name: _numbers(part) for name, part in sensor.phases.items()},
     }
 
 
@@ -336,9 +322,9 @@ def rows(part: Figures) -> list[list[Any]]:
 
 
 def _curve(curve: Curve) -> dict[str, Any]:
-    known = bool(np.isfinite(curve.exposure_s).all())
+    timed = bool(np.isfinite(curve.exposure_s).all())
     return {
-        "exposure_s": curve.exposure_s.tolist() if known else None,
+        "exposure_s": curve.exposure_s.tolist() if timed else None,
         "signal_dn": curve.signal.tolist(),
         "variance_dn2": curve.variance.tolist(),
         "fitted": curve.fitted.tolist(),

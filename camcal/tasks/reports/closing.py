@@ -14,8 +14,8 @@ from camcal.arrays import Array
 from camcal.errors import CamcalError
 from camcal.formats import native, provenance
 from camcal.formats.camera_file import CameraFile
-from camcal.raw.detection_image import read_detection_image
 from camcal.raw.options import ImageReadOptions
+from camcal.raw.reading import read_detection_image
 from camcal.report.page.record import Section, Table
 from camcal.report.page.thumbnails import MOST, photo_key, photograph
 from camcal.run.process import processor_name
@@ -30,7 +30,10 @@ def origin_section(provenance: Mapping[str, Any], environment: Mapping[str, str]
     rows = [["command", str(provenance.get("command", "unknown"))]]
     rows += [["created", str(provenance["created"])]] if "created" in provenance else []
     rows += [[name, version] for name, version in environment.items()]
-    rows += [[f"board {name}", _words(value)] for name, value in dict(provenance.get("board", {})).items()]
+    rows += [
+        [f"board {name}", " x ".join(map(str, value)) if isinstance(value, list) else str(value)]
+        for name, value in dict(provenance.get("board", {})).items()
+    ]
     if totals := provenance.get("image_totals"):
         rows.append(["images", f"{totals['used']} of {totals['listed']} used; SHA-256 of the list {totals['sha256']}"])
     tables = [Table.of("Program, machine and board", ("what", "value"), rows)]
@@ -42,10 +45,6 @@ def origin_section(provenance: Mapping[str, Any], environment: Mapping[str, str]
     if images:
         tables.append(Table.of("Inputs", ("file", "SHA-256"), images))
     return Section("provenance", "Provenance", list(lines), tables=tables)
-
-
-def _words(value: object) -> str:
-    return " x ".join(map(str, value)) if isinstance(value, list) else str(value)
 
 
 def repeat_section(command: str, *, again: bool = True) -> Section:

@@ -31,9 +31,11 @@ from camcal.report.page.record import (
     ShownMessage,
     Table,
     rendered,
+    sentence,
+    shown_messages,
+    shown_reasons,
 )
 from camcal.report.page.thumbnails import pictures
-from camcal.report.page.verdict import sentence, shown_messages, shown_reasons
 from camcal.report.rig import DEPTH_COLUMNS, PAIR_COLUMNS, depth_rows, pair_rows
 from camcal.run.outputs import writes
 from camcal.tasks.calibration.board_views import is_table

@@ -15,9 +15,8 @@ import numpy as np
 from camcal import files
 from camcal.calibrate.rigs.record import Captures
 from camcal.errors import CamcalError, GateFailed, InsufficientData, InvalidInput, Located, NotConverged
-from camcal.formats import boards, documents, native, page_data
+from camcal.formats import boards, documents, native
 from camcal.formats.camera_file import STEP, CameraEntry, CameraFile
-from camcal.formats.page_data import CALIBRATE, PageData
 from camcal.messages import Message
 from camcal.progress import SILENT, Progress
 from camcal.report.page.thumbnails import PHOTO
@@ -26,11 +25,11 @@ from camcal.targets.detection import BoardDetection, Detections
 from camcal.tasks.calibration import calibrate as calibration
 from camcal.tasks.calibration.board_views import BoardViews
 from camcal.tasks.calibration.options import CalibrateOptions
-from camcal.tasks.reports import camera_page, carried, rig_page
-from camcal.tasks.reports.camera_page import CAMERA_NAME
+from camcal.tasks.reports import carried, pages
+from camcal.tasks.reports.carried import CALIBRATE, PageData
 from camcal.tasks.reports.closing import environment, environment_differences, result_text
 from camcal.tasks.reports.options import RerunOptions
-from camcal.tasks.reports.rig_page import RIG_NAME
+from camcal.tasks.reports.pages import CAMERA_NAME, RIG_NAME
 from camcal.tasks.rigs import calibrate_rig
 from camcal.tasks.rigs.matching import Matched
 from camcal.tasks.rigs.options import RigSettings
@@ -88,7 +87,7 @@ def rerun(options: RerunOptions, progress: Progress = SILENT) -> Rerun:
     if options.output.suffix.lower() in _FILES and not options.output.is_dir():
         what = f"is the name of a file; -o is a folder, for {REPORT_NAME} and the camera file"
         raise InvalidInput(what, where=str(options.output))
-    data = page_data.read(options.file, PHOTO)
+    data = carried.read(options.file, PHOTO)
     name = CAMERA_NAME if data.run["command"] == CALIBRATE else RIG_NAME
     output = options.output / REPORT_NAME
     refused = bool(data.run.get("refusal"))
@@ -141,9 +140,7 @@ def _rerun_camera(data: PageData, folder: Path, guesses: Path, progress: Progres
     try:
         found = calibration.calibrated(lambda: seen, how, progress, run["words"])
     except (InsufficientData, NotConverged) as error:
-        return _Again(
-            camera_page.refusal_text(seen, original.name, error, _now(run), data.photos), refusal=error.message
-        )
+        return _Again(pages.refusal_text(seen, original.name, error, _now(run), data.photos), refusal=error.message)
     candidates = carried.candidates_of(run["candidates"]) if "candidates" in run else None
     found = replace(
         found,
@@ -154,7 +151,7 @@ def _rerun_camera(data: PageData, folder: Path, guesses: Path, progress: Progres
         candidates=found.candidates if candidates is None else candidates.get((original.name,), ()),
     )
     text = result_text(found.file, CAMERA_NAME)
-    return _Again(camera_page.page_text(found, _now(run, text), data.photos), text)
+    return _Again(pages.page_text(found, _now(run, text), data.photos), text)
 
 
 def _rerun_rig(data: PageData, folder: Path, guesses: Path, progress: Progress) -> _Again:
@@ -167,7 +164,7 @@ def _rerun_rig(data: PageData, folder: Path, guesses: Path, progress: Progress) 
     try:
         found = calibrate_rig.calibrated(lambda: seen, how, run["words"], progress)
     except (InsufficientData, NotConverged) as error:
-        return _Again(rig_page.refusal_text(seen, error, _now(run), data.photos), refusal=error.message)
+        return _Again(pages.rig_refusal_text(seen, error, _now(run), data.photos), refusal=error.message)
     found = replace(
         found,
         warnings=carried.messages_of(run["warnings"]),
@@ -176,7 +173,7 @@ def _rerun_rig(data: PageData, folder: Path, guesses: Path, progress: Progress) 
         candidates=carried.candidates_of(run["candidates"]) if "candidates" in run else found.candidates,
     )
     text = result_text(found.file, RIG_NAME)
-    return _Again(rig_page.page_text(found, _now(run, text), data.photos), text)
+    return _Again(pages.rig_page_text(found, _now(run, text), data.photos), text)
 
 
 def _now(run: Mapping[str, Any], result: str = "") -> dict[str, Any]:

@@ -1,32 +1,28 @@
 """`camcal rig` and `camcal stereo calibrate`: images of several cameras in, one rig file out."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from camcal import messages
-from camcal.brief import Brief
 from camcal.calibrate.fit import ShapeOptions
 from camcal.calibrate.intrinsics import CandidateModel
 from camcal.calibrate.rigs.calibrate import calibrate_rig
 from camcal.calibrate.rigs.record import RigCalibration, RigOptions
 from camcal.cameras.validity import ImageCircle
 from camcal.errors import GateFailed, InsufficientData, InvalidInput, NotConverged
-from camcal.formats import detections, native, native_entry, provenance
-from camcal.formats.camera_file import CalibrationVerdict, CameraFile, JointCovariance, Transform
-from camcal.geometry.pose import Pose
+from camcal.formats import detections, native, native_entry
 from camcal.messages import Message
 from camcal.options import command_line
 from camcal.progress import SILENT, Progress, warn_of
-from camcal.quality.assess import Assessment, assess
-from camcal.quality.projection_uncertainty import ProjectionUncertainty, too_uncertain
+from camcal.quality.assess import assess
+from camcal.quality.projection_uncertainty import too_uncertain
 from camcal.report.calibration import as_data, candidates_data, uncertainty_data
 from camcal.report.rig import motion_data, transform_data
 from camcal.run.journal import journal_beside
 from camcal.run.outputs import writes
 from camcal.targets.detection import BoardDetection
-from camcal.tasks.calibration.camera_result import camera_entry, image_record, is_shaped
 from camcal.tasks.calibration.corner_refinement import RefinementSummary, is_refined, refine_corners
 from camcal.tasks.calibration.image_circle_of_views import known_circle
 from camcal.tasks.calibration.video_frames import as_data as frame_data
@@ -41,56 +37,8 @@ from camcal.tasks.rigs.rig_lenses import (
     rig_models,
     starting,
 )
+from camcal.tasks.rigs.rig_result import CameraResult, RigReport, rig_file
 from camcal.tasks.rigs.rig_views import RigViews, require_size, rig_views, with_circles
-
-
-@dataclass(frozen=True, eq=False)
-class CameraResult(Brief):
-    """What is said of one camera of a rig beside its calibration; circle: its image circle, where there is one."""
-
-    assessment: Assessment
-    circle: ImageCircle | None = None
-
-    @property
-    def uncertainty(self) -> ProjectionUncertainty:
-        """The uncertainty of projections over the image."""
-        return self.assessment.uncertainty
-
-
-@dataclass(frozen=True, eq=False)
-class RigReport(Brief):
-    """The calibration of a rig, what is said of each of its cameras, the captures, and the file that was written.
-
-    candidates: lens models that were compared, by the cameras of a kind. refinement: what the second pass of corner
-    refinement changed, None without one. warnings: all of them; lines: other lines of the report.
-    figures: the files of figures.
-    """
-
-    calibration: RigCalibration
-    cameras: Mapping[str, CameraResult]
-    views: RigViews
-    file: CameraFile
-    warnings: tuple[Message, ...]
-    lines: tuple[str, ...] = ()
-    refinement: RefinementSummary | None = None
-    candidates: Mapping[tuple[str, ...], tuple[CandidateModel, ...]] | None = None
-    figures: tuple[Path, ...] = ()
-
-    @property
-    def failures(self) -> tuple[Message, ...]:
-        """Why the rig, or one of its cameras, must not be trusted."""
-        own = (each.at(name) for name, result in self.cameras.items() for each in result.assessment.failures)
-        return (*self.calibration.failures, *own)
-
-    @property
-    def trustworthy(self) -> bool:
-        """Whether the rig and all its cameras may be trusted."""
-        return not self.failures
-
-    @property
-    def failed(self) -> tuple[str, ...]:
-        """The images that could not be read."""
-        return self.views.failed
 
 
 @writes
@@ -145,9 +93,9 @@ def _calibrate(seen: RigViews, settings: RigSettings, command: Sequence[str], pr
         calibration = _solve(seen, how, progress, "solving")
     except (InsufficientData, NotConverged) as error:
         if settings.report is not None:
-            from camcal.tasks.reports.rig_page import write_refusal
+            from camcal.tasks.reports.pages import write_rig_refusal
 
-            write_refusal(settings.report, seen, settings, command, error)
+            write_rig_refusal(settings.report, seen, settings, command, error)
         raise
     refinement: RefinementSummary | None = None
     found: tuple[Message, ...] = ()
@@ -178,9 +126,9 @@ def _calibrate(seen: RigViews, settings: RigSettings, command: Sequence[str], pr
         figures=figures,
     )
     if settings.report is not None:
-        from camcal.tasks.reports.rig_page import write
+        from camcal.tasks.reports.pages import write_rig
 
-        write(settings.report, report, settings, command)
+        write_rig(settings.report, report, settings, command)
     return report
 
 
@@ -262,63 +210,6 @@ def _refine(
         text = f"corner refinement with the calibrated lenses skipped, as with --no-refine: {error.message}"
         return seen, calibration, None, (Message("refinement_failed", text),)
     return better, again, RefinementSummary(recovered, lost), ()
-
-
-def rig_file(calibration: RigCalibration, results: Mapping[str, CameraResult], command: Sequence[str]) -> CameraFile:
-    """Return what the rig file says of the cameras that are linked: lenses, transforms, their joint covariance."""
-    failures = tuple(each.text for each in calibration.failures)
-    entries = {}
-    for name in calibration.poses:
-        result = results[name]
-        entry = camera_entry(calibration.calibrations[name], result.assessment, result.circle)
-        verdict = entry.verdict or CalibrationVerdict(True)
-        entries[name] = replace(
-            entry,
-            verdict=CalibrationVerdict(
-                verdict.trustworthy and not failures, verdict.reasons + failures, None if failures else verdict.region
-            ),
-        )
-    others = [name for name in calibration.poses if name != calibration.first]
-    transforms = {
-        calibration.transform_name(name): Transform(calibration.poses[name], calibration.pose_covariance(name))
-        for name in others
-    }
-    kept = {*entries, *transforms}
-    names = tuple(name for name in calibration.names if name.rpartition(".")[0] in kept)
-    surface = calibration.calibrations[calibration.first].surface
-    board = calibration.calibrations[calibration.first].board
-    return CameraFile(
-        entries,
-        transforms,
-        JointCovariance(names, calibration.covariance_of(names)),
-        board_shape=surface if is_shaped(surface) else None,
-        provenance=provenance.build(command, board, _image_records(calibration)) | {"rig": _figures(calibration)},
-    )
-
-
-def _figures(calibration: RigCalibration) -> dict[str, Any]:
-    """Return the figures of the rig as a whole that the provenance keeps; px, m."""
-    motion = motion_data(calibration.motion) or {}
-    figures = {
-        "epipolar_rms_px": calibration.epipolar_rms_px,
-        **{f"motion_{key}": value for key, value in motion.items()},
-    }
-    return {key: value for key, value in figures.items() if value is not None}
-
-
-def _image_records(calibration: RigCalibration) -> list[dict[str, Any]]:
-    """Return what the provenance says of all images, each with its camera and where that saw the board."""
-    return [
-        image_record(view) | {"camera": name} | _pose_record(view.camera_T_board)
-        for name, own in calibration.calibrations.items()
-        for view in own.views
-    ]
-
-
-def _pose_record(pose: Pose | None) -> dict[str, Any]:
-    if pose is None:
-        return {}
-    return {"camera_T_board": {"t": pose.translation.tolist(), "rotation_vector": pose.vector().tolist()}}
 
 
 def document(report: RigReport, settings: RigSettings) -> dict[str, Any]:

@@ -109,7 +109,7 @@ def draw_rig(found: RigInspection, output: Path) -> None:
     if output.suffix.lower() == ".html":
         files.write_text(output, page(scene, output.stem, Start("image", _VIEWS[0])))
     else:
-        from camcal.images.save import save
+        from camcal.images.files import save
 
         save(output, montage(scene, paint_of(scene), _SIZE, views=_VIEWS)[:, :, ::-1])
 

@@ -15,7 +15,8 @@ from camcal.calibrate.initialise import sweep_focal
 from camcal.calibrate.intrinsics import CandidateModel
 from camcal.calibrate.rigs.record import Captures
 from camcal.cameras.catalogue import DEFAULT_MODEL, WIDE_MODEL, model_named
-from camcal.cameras.model import Camera, CameraModel
+from camcal.cameras.lens import CameraModel
+from camcal.cameras.model import Camera
 from camcal.cameras.observations import Observations
 from camcal.cameras.validity import ImageCircle
 from camcal.errors import InsufficientData, InvalidInput

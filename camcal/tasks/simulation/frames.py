@@ -10,7 +10,7 @@ import numpy as np
 
 from camcal.cameras.model import Camera
 from camcal.formats.camera_file import CameraEntry, ValidRegion
-from camcal.images.save import save
+from camcal.images.files import save
 from camcal.progress import Progress, require_all
 from camcal.run.fanout import fan_out
 from camcal.simulate.mosaics import FixedPattern, RawCamera, Shot, even_frame, exposure_series, lenses

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from camcal import files, folders
+from camcal import files, system
 from camcal.cameras.catalogue import DEFAULT_MODEL, model_named
 from camcal.cameras.model import Camera
 from camcal.errors import CamcalError, InvalidInput
@@ -23,7 +23,7 @@ from camcal.formats.camera_file import CameraEntry, CameraFile, Transform, Valid
 from camcal.formats.poses import PoseKey, PoseRecord
 from camcal.formats.poses.record import PixelNoise
 from camcal.geometry.pose import Pose
-from camcal.images.save import save
+from camcal.images.files import save
 from camcal.options import command_line
 from camcal.progress import SILENT, Progress, require_all
 from camcal.run.fanout import fan_out
@@ -33,10 +33,9 @@ from camcal.run.paths import split_address
 from camcal.simulate import mosaics
 from camcal.simulate.render import FLAT, Shape, render
 from camcal.simulate.scene import Truth, captures, make_camera, motion, observe, seen_by, view_name, views
-from camcal.targets.board import Board
+from camcal.targets.board import Board, Surface
 from camcal.targets.detection import Detections
 from camcal.targets.pattern import pattern_of
-from camcal.targets.surface import Surface
 from camcal.tasks.simulation.frames import clear_frames, fixed_pattern, how_made, take_frames, truth_entry
 from camcal.tasks.simulation.options import SimulateOptions
 
@@ -335,7 +334,7 @@ def require_own(folder: Path, truth: str) -> None:
     """Raise InvalidInput unless a folder is empty, new, or holds an earlier simulation; truth: its camera file."""
     if folder.exists() and not folder.is_dir():
         raise InvalidInput("is a file; expected a folder", where=str(folder))
-    other = folder.is_dir() and any(path.name not in (MANIFEST, folders.HELD) for path in folder.iterdir())
+    other = folder.is_dir() and any(path.name not in (MANIFEST, system.HELD) for path in folder.iterdir())
     if other and not _is_ours(folder / truth):
         raise InvalidInput("is not empty and not an earlier simulation; choose another folder", where=str(folder))
 

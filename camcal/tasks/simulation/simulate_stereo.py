@@ -14,7 +14,7 @@ from camcal.errors import InvalidInput
 from camcal.formats import disparity, disparity_sidecar, native, provenance
 from camcal.formats.camera_file import CameraEntry, CameraFile, Transform, ValidRegion
 from camcal.formats.disparity_sidecar import Sidecar
-from camcal.images.save import save
+from camcal.images.files import save
 from camcal.options import command_line
 from camcal.progress import SILENT, Progress, require_all
 from camcal.run.fanout import fan_out

@@ -13,12 +13,13 @@ from camcal.errors import InvalidInput
 from camcal.formats import disparity, disparity_sidecar, pointclouds, pose_text
 from camcal.formats.disparity import DisparityMap
 from camcal.formats.disparity_sidecar import Sidecar
-from camcal.images.load import load
+from camcal.images.files import load
 from camcal.messages import Message
 from camcal.parsing import parse_number
 from camcal.progress import SILENT, Collected, Progress, values_of, warn_of
-from camcal.run.fanout import fan_out, over_threads
+from camcal.run.fanout import fan_out
 from camcal.run.paths import IMAGE_SUFFIXES, find_pairs, split_address
+from camcal.run.process import over_threads
 from camcal.stereo.disparity import Confidence
 from camcal.stereo.geometry import StereoGeometry
 from camcal.stereo.points.cloud import CloudMaker, thinned

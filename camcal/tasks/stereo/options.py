@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from pathlib import Path
+from types import MappingProxyType
 from typing import Annotated
 
 from camcal.errors import InvalidInput
@@ -27,6 +28,10 @@ MAP_TYPES = ("pfm", "tiff", "tif", "png", "npy", "npz", "exr")
 OWN, ONNX = "own", "onnx"
 ENGINES = (OWN, ONNX)
 INTRINSICS = ("fx", "fy", "cx", "cy")
+PAGE, PICTURE, VIDEO, RECORDING, WINDOW = "page", "picture", "video", "recording", "window"
+KINDS: Mapping[str, str] = MappingProxyType(  # of what shows a cloud, by suffix
+    {".html": PAGE, ".png": PICTURE, ".gif": VIDEO, ".mp4": VIDEO, ".rrd": RECORDING}
+)
 
 
 def _two_names(text: str) -> tuple[str, ...]:
@@ -103,12 +108,6 @@ def _map_suffixes() -> tuple[str, ...]:
     from camcal.formats import disparity
 
     return disparity.SUFFIXES
-
-
-def _view_suffixes() -> tuple[str, ...]:
-    from camcal.tasks.stereo import view
-
-    return tuple(view.KINDS)
 
 
 @dataclass(frozen=True)
@@ -322,7 +321,7 @@ class ViewOptions(OptionsRecord):
         Path | None,
         output_option(
             "A page (.html), a picture (.png), a video (.gif, .mp4) or a recording for Rerun (.rrd).",
-            Written(_view_suffixes),
+            Written(tuple(KINDS)),
         ),
     ] = None
     frame: Annotated[

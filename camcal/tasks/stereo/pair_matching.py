@@ -10,10 +10,10 @@ import numpy as np
 
 from camcal.arrays import Array, PixelArray
 from camcal.errors import InvalidInput
-from camcal.images.load import load
+from camcal.images.files import load
 from camcal.messages import Message
-from camcal.raw.planes import one_by_one
-from camcal.run.fanout import over_threads
+from camcal.raw.tiles import one_by_one
+from camcal.run.process import over_threads
 from camcal.stereo.disparity import Confidence, Disparity, too_few
 from camcal.stereo.matching.learned import learned_disparity
 from camcal.stereo.matching.match import match_prepared, within

@@ -19,7 +19,7 @@ from camcal.formats.camera_file import CameraFile, Transform, pair_covariance
 from camcal.formats.cameras.record import MissingSize
 from camcal.formats.disparity import DisparityMap
 from camcal.formats.disparity_sidecar import Sidecar
-from camcal.images.load import load
+from camcal.images.files import load
 from camcal.messages import Message
 from camcal.progress import SILENT, Progress
 from camcal.run.paths import split_address

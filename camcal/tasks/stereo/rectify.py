@@ -11,8 +11,7 @@ from camcal import files
 from camcal.errors import InvalidInput
 from camcal.formats import native, pair_calibration
 from camcal.formats.cameras import ros
-from camcal.images.load import load
-from camcal.images.save import save
+from camcal.images.files import load, save
 from camcal.images.video import frames
 from camcal.messages import as_data
 from camcal.options import command_line

@@ -11,7 +11,7 @@ import numpy as np
 from camcal import files
 from camcal.arrays import Array
 from camcal.errors import CamcalError, GateFailed
-from camcal.images.load import gray_8bit, load
+from camcal.images.files import gray_8bit, load
 from camcal.messages import Message
 from camcal.progress import SILENT, Outcome, Progress, warn_of
 from camcal.report import stereo_words as words

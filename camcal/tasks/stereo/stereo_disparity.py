@@ -14,8 +14,7 @@ from camcal.errors import FileError, GateFailed, InvalidInput
 from camcal.formats import disparity as maps
 from camcal.formats import disparity_sidecar
 from camcal.formats.disparity_sidecar import Sidecar, SourceFile
-from camcal.images.load import load
-from camcal.images.save import save
+from camcal.images.files import load, save
 from camcal.messages import Message, as_data
 from camcal.progress import SILENT, Outcome, Progress, reused, warn_of
 from camcal.report.stereo_pictures import disparity_picture, robust_range

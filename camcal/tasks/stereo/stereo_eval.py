@@ -16,8 +16,7 @@ from camcal.errors import FileError, InvalidInput
 from camcal.formats import disparity
 from camcal.formats.disparity import DisparityMap, maps_in
 from camcal.formats.disparity_sidecar import Sidecar
-from camcal.images.load import load
-from camcal.images.save import save
+from camcal.images.files import load, save
 from camcal.messages import Message
 from camcal.parsing import did_you_mean
 from camcal.progress import SILENT, Collected, Outcome, Progress, warn_of

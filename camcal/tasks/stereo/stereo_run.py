@@ -17,8 +17,7 @@ from camcal.errors import GateFailed, InsufficientData, InvalidInput, ItemsFaile
 from camcal.formats import native
 from camcal.formats.native import untrustworthy
 from camcal.images import video
-from camcal.images.load import load
-from camcal.images.save import save
+from camcal.images.files import load, save
 from camcal.messages import Message
 from camcal.options import command_line
 from camcal.progress import SILENT, Collected, Outcome, Progress, reused, warn_of
@@ -32,17 +31,18 @@ from camcal.run.paths import find_media, find_pairs, place
 from camcal.run.resume import Items, resumable
 from camcal.stereo.pair.pair_check import PairCheck
 from camcal.stereo.rectify.record import Rectification
-from camcal.tasks.rigs.calibrate_rig import RigReport, calibrated
+from camcal.tasks.rigs.calibrate_rig import calibrated
+from camcal.tasks.rigs.rig_result import RigReport
 from camcal.tasks.rigs.rig_views import rig_views
 from camcal.tasks.stereo.cloud import CloudReport, source_of_match, write_points
 from camcal.tasks.stereo.cloud_options import CloudOptions
-from camcal.tasks.stereo.options import DisparityOptions
+from camcal.tasks.stereo.options import PAGE, DisparityOptions
 from camcal.tasks.stereo.pair_matching import PairImages, match_images, rectified_pair
 from camcal.tasks.stereo.rig_pair import GivenRig, RigPair, read_rig, rectified_file, rig_pair
 from camcal.tasks.stereo.run_options import RunOptions
 from camcal.tasks.stereo.stereo_check import check_images
 from camcal.tasks.stereo.stereo_disparity import Figures, MapFiles, for_png, write_map
-from camcal.tasks.stereo.view import MOST_POINTS, PAGE, cloud_in
+from camcal.tasks.stereo.view import MOST_POINTS, cloud_in
 
 _PICTURE, _MAP, _PAGE = ".png", ".tiff", ".html"
 RIG, RECTIFIED = "rig.yaml", "rectified.yaml"

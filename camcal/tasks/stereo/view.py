@@ -19,28 +19,23 @@ from camcal.files import read_bytes
 from camcal.formats import disparity, pointclouds
 from camcal.formats.disparity import DisparityMap
 from camcal.formats.disparity_sidecar import Sidecar
-from camcal.geometry.axes import rotation_of
+from camcal.geometry.pose import rotation_of
+from camcal.images.files import save
 from camcal.images.npy import names_in
-from camcal.images.save import save
 from camcal.progress import SILENT, Progress
 from camcal.report import cloud_view
-from camcal.report.cloud_scene import CloudScene, gather
+from camcal.report.cloud_scene import CloudScene, gather, turn, view_of
 from camcal.report.cloud_view import Start
-from camcal.report.cloud_views import turn, view_of
 from camcal.report.colour_scale import Paint, paint_of
-from camcal.run.fanout import over_threads
 from camcal.run.outputs import writes
 from camcal.run.paths import require_there
+from camcal.run.process import over_threads
 from camcal.stereo.points.cloud import CloudMaker
 from camcal.stereo.points.frames import WORDS, Frame, VertexStream
 from camcal.stereo.points.selection import Selection, select
-from camcal.tasks.stereo.options import GeometryOptions, ViewOptions
+from camcal.tasks.stereo.options import KINDS, PAGE, PICTURE, RECORDING, VIDEO, WINDOW, GeometryOptions, ViewOptions
 from camcal.tasks.stereo.rectified_pair import named_file, pair_of, stereo_image
 
-PAGE, PICTURE, VIDEO, RECORDING, WINDOW = "page", "picture", "video", "recording", "window"
-KINDS: Mapping[str, str] = MappingProxyType(
-    {".html": PAGE, ".png": PICTURE, ".gif": VIDEO, ".mp4": VIDEO, cloud_view.SUFFIX: RECORDING}
-)
 # A page is to open at once; pictures gain nothing from more points than there are pixels in a few.
 MOST_POINTS: Mapping[str, int] = MappingProxyType(
     {PAGE: 400_000, PICTURE: 4_000_000, VIDEO: 1_000_000, RECORDING: 4_000_000, WINDOW: 4_000_000}
@@ -63,7 +58,7 @@ def kind_of(options: ViewOptions) -> str:
         raise InvalidInput(f"no output: set -o with a suffix of {', '.join(KINDS)}")
     kind = KINDS.get(options.output.suffix.lower())
     if kind is None or (options.rerun and kind != RECORDING):
-        fitting = cloud_view.SUFFIX if options.rerun else ", ".join(KINDS)
+        fitting = ", ".join(suffix for suffix, each in KINDS.items() if each == RECORDING or not options.rerun)
         raise InvalidInput(
             f"{options.output.suffix or 'no suffix'} is not written; use {fitting}", where=str(options.output)
         )

@@ -7,9 +7,8 @@ from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.estimate.pnp import estimate_poses
 from camcal.estimate.poses import states as se3
-from camcal.estimate.poses.moments import covariances, inverses
 from camcal.estimate.poses.packed_correspondences import PackedCorrespondences
-from camcal.estimate.poses.pose_quality import region_quantile
+from camcal.estimate.poses.pose_quality import covariances, inverses, region_quantile
 from camcal.estimate.poses.problem import PoseProblems, lowest, pose_minima
 from camcal.estimate.poses.records import AMBIGUOUS, Correspondences, PoseOptions
 from camcal.estimate.poses.states import Extents

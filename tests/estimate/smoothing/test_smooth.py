@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.estimate.smoothing.batch import disagreement, smooth_system, solve_batch
 from camcal.estimate.smoothing.linear_system import LinearSystem, MotionModel, kalman_filter, rts
-from camcal.estimate.smoothing.series import Series, SeriesOptions, series_at, smooth_series, system_of
-from camcal.estimate.smoothing.tuning import log_likelihood
+from camcal.estimate.smoothing.series import Series, SeriesOptions, log_likelihood, series_at, smooth_series, system_of
 
 SIGMA, STRENGTH = 0.05, 2.0
 

@@ -2,8 +2,9 @@
 
 import numpy as np
 
-from camcal.estimate.tracking.free_motion import MotionState, ObjectPlane
 from camcal.estimate.tracking.hypotheses import MISSED, Hypotheses, with_mirrored
+from camcal.estimate.tracking.measurements import ObjectPlane
+from camcal.estimate.tracking.motion import MotionState
 from camcal.geometry import rotation as so3
 
 TAG = ObjectPlane(np.array([0.0, 0.0, 1.0]), np.zeros(3))

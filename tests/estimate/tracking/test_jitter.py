@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from camcal.estimate.tracking.free_motion import rotation_vectors
-from camcal.estimate.tracking.jitter import jitter
+from camcal.estimate.poses.states import rotation_vectors
+from camcal.estimate.tracking.process_noise import jitter
 from camcal.geometry import rotation as so3
 
 

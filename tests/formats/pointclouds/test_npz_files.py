@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from camcal.errors import FileError
-from camcal.formats.pointclouds import npz, write
+from camcal.formats import pointclouds
+from camcal.formats.pointclouds import write
 
 POINTS = np.arange(6.0).reshape(2, 3)
 
@@ -37,7 +38,7 @@ def test_the_arrays_of_an_image_have_rows_and_columns(tmp_path, vertices, stream
 
 
 def test_points_alone_are_a_cloud_in_metres():
-    found = npz.read(npz_of(points=POINTS))
+    found = pointclouds.read_npz(npz_of(points=POINTS))
     assert (found.unit, found.frame, found.notes, found.grid) == ("m", "", {}, None)
     assert found.vertices.tolist() == [(0, 1, 2), (3, 4, 5)]
 
@@ -59,11 +60,11 @@ def test_points_alone_are_a_cloud_in_metres():
 )
 def test_a_file_that_is_none_says_what_was_expected_and_found(content, message):
     with pytest.raises(FileError, match=message):
-        npz.read(content)
+        pointclouds.read_npz(content)
 
 
 def test_an_array_alone_is_no_npz_file():
     content = BytesIO()
     np.save(content, POINTS)
     with pytest.raises(FileError, match="not a readable NPZ file"):
-        npz.read(content.getvalue())
+        pointclouds.read_npz(content.getvalue())

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from camcal.errors import FileError
-from camcal.formats.pointclouds import write, xyz
+from camcal.formats import pointclouds
+from camcal.formats.pointclouds import write
 
 
 def test_a_file_is_a_row_of_numbers_per_point(tmp_path, vertices, stream):
@@ -35,7 +36,7 @@ def test_what_columns_alone_would_not_tell_stands_in_front(tmp_path, vertices, s
     ],
 )
 def test_columns_are_told_by_their_number_and_their_look(row, names):
-    found = xyz.read(f"// from elsewhere\n{row}\n\n{row}\n".encode()).vertices
+    found = pointclouds.read_xyz(f"// from elsewhere\n{row}\n\n{row}\n".encode()).vertices
     assert found.dtype.names == ("x", "y", "z", *names)
     assert found[["x", "y", "z"]].tolist() == [(1, 2, 3)] * 2
 
@@ -52,4 +53,4 @@ def test_columns_are_told_by_their_number_and_their_look(row, names):
 )
 def test_a_file_that_is_none_says_what_was_expected_and_found(content, message):
     with pytest.raises(FileError, match=message):
-        xyz.read(content)
+        pointclouds.read_xyz(content)

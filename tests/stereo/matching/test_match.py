@@ -12,7 +12,7 @@ from layered import layered_pair
 from textured import darker, noisy, textured_pair, waves
 
 from camcal.errors import InvalidInput
-from camcal.run.fanout import over_threads
+from camcal.run.process import over_threads
 from camcal.simulate.stereo_scene import PairOptions, render_pair
 from camcal.stereo.disparity import Confidence
 from camcal.stereo.matching.match import match

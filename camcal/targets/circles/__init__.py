@@ -1,1 +1,0 @@
-"""Detection and measurement of grids of circles."""

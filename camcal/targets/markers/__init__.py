@@ -1,1 +1,0 @@
-"""Detection and measurement of square markers, and tags on objects."""

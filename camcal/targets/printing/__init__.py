@@ -1,1 +1,0 @@
-"""Boards drawn on paper at true scale."""
