@@ -25,7 +25,7 @@ from camcal.estimate.poses.packed_correspondences import Group
 from camcal.estimate.poses.pose_quality import ResidualNoise
 from camcal.estimate.poses.problem import ROUNDING, Anchor, PoseProblems, anchors, lowest, pose_minima
 from camcal.estimate.poses.records import PoseOptions
-from camcal.estimate.poses.samples import Sampling, sampled
+from camcal.estimate.poses.samples import poses_of_samples
 from camcal.estimate.poses.starts import FEW
 from camcal.estimate.poses.states import Extents
 from camcal.solve.independent import Minima, joined
@@ -167,7 +167,7 @@ def _plain(group: Group, options: PoseOptions) -> PoseFit:
 
 def _from_samples(group: Group, options: PoseOptions, criterion: InlierCriterion) -> PoseFit:
     problems, extents = _problems(group, options), group.extents
-    found = [_samples(problems, problems.view, options, criterion)]
+    found = [poses_of_samples(problems, problems.view, criterion, options)]
     found.append(refit_inliers(problems, *anchors(problems), criterion))
     # of so few points, samples are few as well, and may all miss a plane's second pose
     few = np.flatnonzero(problems.counts <= FEW)
@@ -194,7 +194,7 @@ def _agreeing(fit: PoseFit, options: PoseOptions, criterion: InlierCriterion) ->
     chosen, minima = choose(problems, found, fit.extents, criterion)
     lost = np.flatnonzero((2 * chosen.counts < problems.counts) & (problems.counts >= _MIN_POINTS_FOR_OUTLIER))
     if few and lost.size:
-        found = found.joined(_samples(problems, lost, options, criterion))
+        found = found.joined(poses_of_samples(problems, lost, criterion, options))
         chosen, minima = choose(problems, found, fit.extents, criterion)
     return fit.with_items(items, chosen, minima, found)
 
@@ -338,10 +338,6 @@ def _areas(group: Group, options: PoseOptions) -> Array:
         total += np.prod(np.maximum(most - least, 0.0), axis=0)
         count += packed.present.sum(axis=1)
     return np.asarray(total / np.maximum(count, 1))
-
-
-def _samples(problems: PoseProblems, which: Array, options: PoseOptions, criterion: InlierCriterion) -> RefitPoses:
-    return sampled(problems, which, criterion, Sampling(options.confidence, options.seed))
 
 
 def _robust_noise(fits: Sequence[PoseFit]) -> float:

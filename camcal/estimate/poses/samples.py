@@ -13,6 +13,7 @@ from camcal.arrays import Array
 from camcal.estimate.poses import states as se3
 from camcal.estimate.poses.inliers import InlierCriterion, RefitPoses, refit_inliers
 from camcal.estimate.poses.problem import PoseProblems
+from camcal.estimate.poses.records import PoseOptions
 from camcal.estimate.poses.starts import poses_of_triplets
 from camcal.geometry import rotation as so3
 
@@ -25,21 +26,16 @@ _PROMISING = 4  # poses of a round that are settled
 _ROUNDED = 1e-4  # share of a score that rounding may change
 
 
-@dataclass(frozen=True)
-class Sampling:
-    """How samples are drawn: confidence that one had no outlier; seed, the same for every view."""
-
-    confidence: float
-    seed: int
-
-
-def sampled(problems: PoseProblems, which: Array, criterion: InlierCriterion, sampling: Sampling) -> RefitPoses:
+def poses_of_samples(
+    problems: PoseProblems, which: Array, criterion: InlierCriterion, options: PoseOptions
+) -> RefitPoses:
     """Return settled poses of some problems, the lowest few of each.
 
+    options: the confidence that one sample had no outlier, and the seed, the same for every view.
     All problems take turns together: what a fit or a triplet costs in calls, it costs for all of them at once.
     """
     own = problems.take(which)
-    searches = [_Search.of(own, problem, criterion, sampling.seed) for problem in range(len(which))]
+    searches = [_Search.of(own, problem, criterion, options.seed) for problem in range(len(which))]
     found = refit_inliers(own, np.zeros((0, 3, 4)), np.zeros(0, np.intp), criterion)
     while active := [problem for problem, search in enumerate(searches) if search.drawn < search.needed]:
         parts = []
@@ -58,7 +54,7 @@ def sampled(problems: PoseProblems, which: Array, criterion: InlierCriterion, sa
         best = found.take(np.isin(found.which, of)).lowest()
         inliers = np.asarray(sum(mask.sum(axis=1) for mask in best.masks))
         for problem, count in zip(best.which, inliers, strict=True):
-            searches[problem].needed = _needed(count, own.counts[problem], sampling.confidence)
+            searches[problem].needed = _needed(count, own.counts[problem], options.confidence)
     return found.of(which[found.which])
 
 

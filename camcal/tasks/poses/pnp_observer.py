@@ -232,11 +232,9 @@ class Sheet:
     objects: tuple[Posed, ...]
 
 
-@dataclass(frozen=True, eq=False)
-class _Work:
-    sheet: Sheet
-    source: Path | None
-    gray: Array | None = None  # of a frame of a video
+Work = tuple[
+    Sheet, Path | None, Array | None
+]  # a page, the file of its image or, of a frame of a video, its gray values
 
 
 def videos_in(paths: Sequence[Path]) -> list[Path]:
@@ -280,20 +278,20 @@ def draw(
     return tuple(values_of(fan_out(_draw, work, jobs=jobs, batch=batch, what="drawing", progress=progress)))
 
 
-def _work(pages: Sequence[Sheet], videos: Sequence[Path], folders: Sequence[Path]) -> Iterator[_Work]:
+def _work(pages: Sequence[Sheet], videos: Sequence[Path], folders: Sequence[Path]) -> Iterator[Work]:
     waiting = {page.image: page for page in pages}
     for video in videos:
         try:
             for number, image in enumerate(frames(video)):
                 page = waiting.pop(frame_name(video, number), None)
                 if page is not None:
-                    yield _Work(page, None, gray_8bit(image.pixels))
+                    yield page, None, gray_8bit(image.pixels)
         except CamcalError:  # it is among those that failed
             continue
     for page in pages:
         if page.image in waiting:
             places = [Path(page.image), *(folder / page.image for folder in folders)]
-            yield _Work(page, next((place for place in places if _may_be_image(place)), None))
+            yield page, next((place for place in places if _may_be_image(place)), None), None
 
 
 def _may_be_image(path: Path) -> bool:
@@ -301,12 +299,12 @@ def _may_be_image(path: Path) -> bool:
     return path.suffix.lower() in IMAGE_SUFFIXES and path.is_file()
 
 
-def _draw(work: _Work) -> Path:
-    width, height = work.sheet.objects[0].camera.image_size
-    gray = work.gray
-    if gray is None and work.source is not None:
-        gray = read_detection_image(work.source).gray
+def _draw(work: Work) -> Path:
+    sheet, source, gray = work
+    width, height = sheet.objects[0].camera.image_size
+    if gray is None and source is not None:
+        gray = read_detection_image(source).gray
     if gray is None or gray.shape != (height, width):
         gray = np.full((height, width), _BLANK, np.uint8)
-    save(work.sheet.output, overlay(gray, work.sheet.objects))
-    return work.sheet.output
+    save(sheet.output, overlay(gray, sheet.objects))
+    return sheet.output
