@@ -90,19 +90,20 @@ def _calibrate(seen: RigViews, settings: RigSettings, command: Sequence[str], pr
         models = rig_models(seen.captures, seen.board, settings, given, shape, circles)
         progress.finish()
         how = _solver_options(settings, given, shape, models)
-        calibration = _solve(seen, how, progress, "solving")
+        refinement: RefinementSummary | None = None
+        found: tuple[Message, ...] = ()
+        if refined:
+            seen, calibration, refinement, found = _refine(seen, models, how, settings, progress)
+        else:
+            calibration = _solve(seen, how, progress)
     except (InsufficientData, NotConverged) as error:
         if settings.report is not None:
             from camcal.tasks.reports.pages import write_rig_refusal
 
             write_rig_refusal(settings.report, seen, settings, command, error)
         raise
-    refinement: RefinementSummary | None = None
-    found: tuple[Message, ...] = ()
-    if refined:
-        seen, calibration, refinement, found = _refine(seen, calibration, how, settings, progress)
-        if settings.save_detections:
-            detections.write(settings.save_detections, seen.detections())
+    if refined and settings.save_detections:
+        detections.write(settings.save_detections, seen.detections())
     results = {
         name: CameraResult(assess(own, circles.get(name), models.candidates_of(name)), circles.get(name))
         for name, own in calibration.calibrations.items()
@@ -172,8 +173,8 @@ def _solver_options(
     )
 
 
-def _solve(seen: RigViews, how: RigOptions, progress: Progress, what: str) -> RigCalibration:
-    progress.start(what, None)
+def _solve(seen: RigViews, how: RigOptions, progress: Progress) -> RigCalibration:
+    progress.start("solving", None)
     try:
         return calibrate_rig(seen.captures, seen.board, how)
     finally:
@@ -181,19 +182,22 @@ def _solve(seen: RigViews, how: RigOptions, progress: Progress, what: str) -> Ri
 
 
 def _refine(
-    seen: RigViews, calibration: RigCalibration, how: RigOptions, settings: RigSettings, progress: Progress
+    seen: RigViews, models: RigModels, how: RigOptions, settings: RigSettings, progress: Progress
 ) -> tuple[RigViews, RigCalibration, RefinementSummary | None, tuple[Message, ...]]:
     """Return what a second look at all images shows, the calibration it leads to, what changed, and warnings.
 
-    A second look that a calibration cannot be made from leaves the first one as it is.
+    Corners are expected where brief calibrations of the cameras alone have them, or the rig where one has none that
+    passes. A second look that a calibration cannot be made from leaves everything as it was.
     """
+    brief = set(models.brief) == set(seen.captures.cameras)
+    calibrations = models.brief if brief else _solve(seen, how, progress).calibrations
     views: dict[str, Sequence[BoardDetection]] = {}
     recovered = lost = 0
     for name in seen.captures.cameras:
         views[name] = own = seen.of(name)
-        if name in calibration.calibrations:
+        if name in calibrations:
             look = refine_corners(
-                calibration.calibrations[name],
+                calibrations[name],
                 own,
                 seen.videos,
                 settings.reading,
@@ -205,11 +209,10 @@ def _refine(
             views[name], recovered, lost = look.views, recovered + look.recovered, lost + look.lost
     better = seen.with_views(views)
     try:
-        again = _solve(better, how, progress, "solving again")
+        return better, _solve(better, how, progress), RefinementSummary(recovered, lost), ()
     except (InvalidInput, InsufficientData, NotConverged) as error:
         text = f"corner refinement with the calibrated lenses skipped, as with --no-refine: {error.message}"
-        return seen, calibration, None, (Message("refinement_failed", text),)
-    return better, again, RefinementSummary(recovered, lost), ()
+        return seen, _solve(seen, how, progress), None, (Message("refinement_failed", text),)
 
 
 def document(report: RigReport, settings: RigSettings) -> dict[str, Any]:
