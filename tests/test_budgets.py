@@ -18,7 +18,7 @@ LINES = {
     "__main__": 6,
     "arrays": 42,
     "brief": 80,
-    "calibrate": 7326,
+    "calibrate": 7335,
     "cameras": 2150,
     "cli": 3446,
     "errors": 137,
@@ -36,17 +36,17 @@ LINES = {
     "quality": 1439,
     "raw": 5019,
     "report": 6603,
-    "run": 3621,
+    "run": 3632,
     "simulate": 1720,
     "solve": 1681,
     "stereo": 5137,
     "system": 256,
     "targets": 7022,
-    "tasks": 22123,
+    "tasks": 22134,
     "urls": 99,
 }
-PARTS = {"modules": 420, "records": 643, "records named in one module": 194, "short functions with one reference": 489}
-PASSED = {"modules": 144, "functions": 1075, "records": 123}  # from a table of detections to a camera file
+PARTS = {"modules": 420, "records": 644, "records named in one module": 194, "short functions with one reference": 490}
+PASSED = {"modules": 144, "functions": 1077, "records": 124}  # from a table of detections to a camera file
 SHORT = 5  # lines of a function's body, which could as well stand where it is called
 
 

@@ -1,8 +1,7 @@
 """Calibration of one camera from detections of a board: lens, poses, board shape, and their uncertainty."""
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 
@@ -18,15 +17,13 @@ from camcal.calibrate.noise import REJECTED
 from camcal.calibrate.problem import POSE, BoardProblem
 from camcal.calibrate.refusals import (
     MIN_VIEWS,
-    SAME_VIEW_PX,
     misfit,
-    reason_unusable,
-    repeated,
     require_fit,
     require_focal,
     require_one_camera,
     require_tilts,
     require_views,
+    usable_views,
 )
 from camcal.calibrate.several_cameras import TwoCameras, two_cameras
 from camcal.calibrate.shape import surface_of
@@ -110,7 +107,7 @@ class CandidateModel(Brief):
     """A lens model and how well it predicts: scores (V,) log likelihoods of the views; sigma_px: the scale of the
     errors of a coordinate, 0.85 standard deviations of Gaussian ones.
 
-    reason: why it has no score, None if it has. calibration, fit: brief ones with this model, None where it would be
+    reason: why it has no score, None if it has. calibration: a brief one with this model, None where it would be
     refused. map_px: RMS standard deviation of the projection over the image, once it was assessed. failures: codes of
     why it is refused, or of the criteria that it does not meet.
     """
@@ -121,7 +118,6 @@ class CandidateModel(Brief):
     sigma_px: float | None = None
     reason: str | None = None
     calibration: Calibration | None = None
-    fit: CalibrationFit | None = None
     map_px: float | None = None
     failures: tuple[str, ...] = ()
 
@@ -129,6 +125,17 @@ class CandidateModel(Brief):
     def score(self) -> float:
         """The log likelihood of a corner on average, nat; -inf without one."""
         return float(self.scores.sum()) / self.corners if self.scores is not None else -np.inf
+
+
+@dataclass(frozen=True, eq=False)
+class FittedModel(CandidateModel):
+    """A lens model with the brief fit of its calibration, for a calibration that goes on from it."""
+
+    fit: CalibrationFit | None = None
+
+    def without_fit(self) -> CandidateModel:
+        """Return the model alone: a fit holds all that was estimated."""
+        return CandidateModel(**{each.name: getattr(self, each.name) for each in fields(CandidateModel)})
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,7 +172,7 @@ def solve(
     Raises InsufficientData when the views cannot hold a calibration (too few, alike, fronto-parallel, too many
     rejected), NotConverged when the solver does not settle, InvalidInput for options that contradict each other.
     """
-    size, reasons = _usable(detections, board)
+    size, reasons = usable_views(detections, board)
     usable = [view for view, reason in zip(detections, reasons, strict=True) if reason is None]
     try:
         if start is None:
@@ -202,32 +209,32 @@ def compare_models(
 
     Raises InsufficientData for too few views.
     """
-    size, reasons = _usable(detections, board)
+    size, reasons = usable_views(detections, board)
     usable = [view for view, reason in zip(detections, reasons, strict=True) if reason is None]
     observations = Observations.of(usable)
     corners = int(observations.present.sum())
     result: list[CandidateModel] = []
     plausible: CalibrationFit | None = None
-    for model in models:
-        own = replace(options, model=model)
+    for own in (replace(options, model=model) for model in models):
+        name = own.model.name
         try:
             brief, turns = _fit_briefly(observations, board, size, own, plausible)
             left_out = influence(brief)
             scores, sigma = predict_views(brief, left_out)
             fit = averaged_fit((brief,), WithinViews(1.0), turns, size, [left_out])
-            candidate = CandidateModel(model.name, scores, corners, sigma)
+            candidate = CandidateModel(name, scores, corners, sigma)
             solved = Solved(fit, tuple(detections), tuple(reasons), size, None)
             try:
                 _require_plausible(fit, solved.images, own, len(detections))
                 found = record(solved, _pose_covariances(fit), BetweenViews())
-                result.append(replace(candidate, calibration=found, fit=fit))
+                result.append(FittedModel(name, scores, corners, sigma, calibration=found, fit=fit))
                 plausible = plausible or fit
             except InsufficientData as error:
                 result.append(replace(candidate, failures=tuple(message.code for message in error.failures)))
         except (SingularError, np.linalg.LinAlgError):
-            result.append(CandidateModel(model.name, reason="some parameters are not determined by the views"))
+            result.append(CandidateModel(name, reason="some parameters are not determined by the views"))
         except (InsufficientData, InvalidInput) as error:
-            result.append(CandidateModel(model.name, reason=error.message))
+            result.append(CandidateModel(name, reason=error.message))
     return tuple(result)
 
 
@@ -247,28 +254,6 @@ def _fit_briefly(
         if found is not None:
             return found
     return fit_briefly(options.model, board, observations, size, held=held, guess=guess, shape=options.shape)
-
-
-def _usable(detections: Sequence[BoardDetection], board: Board) -> tuple[tuple[int, int], list[str | None]]:
-    """Return the image size of the majority and, for every view, why it cannot be used (None if it can)."""
-    reasons = [reason_unusable(view, board) for view in detections]
-    sizes = Counter(view.size for view, reason in zip(detections, reasons, strict=True) if reason is None)
-    if not sizes:
-        require_views(0, len(detections), 0)
-    size = sizes.most_common(1)[0][0]
-    for index, view in enumerate(detections):
-        if reasons[index] is None and view.size != size:
-            reasons[index] = (
-                f"image {view.size[0]}x{view.size[1]} differs from the others' {size[0]}x{size[1]}: see --mixed-sizes"
-            )
-    usable = [index for index, reason in enumerate(reasons) if reason is None]
-    repeats = repeated([detections[index] for index in usable])
-    for index, first in repeats.items():
-        reasons[usable[index]] = (
-            f"duplicate of {detections[usable[first]].image} (all corners within {SAME_VIEW_PX:g} px)"
-        )
-    require_views(len(usable) - len(repeats), len(detections), len(repeats))
-    return size, reasons
 
 
 def _held(options: Options, size: tuple[int, int]) -> tuple[Array, Array | None]:

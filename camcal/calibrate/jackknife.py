@@ -109,7 +109,8 @@ def covariance_of(
         scatter_px, claimed_px = (
             float(np.sum(own[:lens, :lens][chosen, chosen] * metric[chosen, chosen])) for own in (scatter, claimed)
         )
-        return scatter_px / claimed_px
+        # of corners without noise both may be rounding, of either sign
+        return scatter_px / claimed_px if min(scatter_px, claimed_px) > 0 else 1.0
 
     ratios, further = np.full(size, ratio(slice(None))), np.full(size, float(size))
     for chosen in blocks:

@@ -4,6 +4,7 @@ Either corners are wrong, not merely noisy, or the observations cannot hold a ca
 would be.
 """
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -197,6 +198,28 @@ def repeated(views: Sequence[BoardDetection]) -> dict[int, int]:
             for pair in (np.sort(indices[[rank[place], other]]) for other in same):
                 result[int(pair[1])] = min(int(pair[0]), result.get(int(pair[1]), int(pair[0])))
     return result
+
+
+def usable_views(detections: Sequence[BoardDetection], board: Board) -> tuple[tuple[int, int], list[str | None]]:
+    """Return the image size of the majority and, for every view, why it cannot be used (None if it can)."""
+    reasons = [reason_unusable(view, board) for view in detections]
+    sizes = Counter(view.size for view, reason in zip(detections, reasons, strict=True) if reason is None)
+    if not sizes:
+        require_views(0, len(detections), 0)
+    size = sizes.most_common(1)[0][0]
+    for index, view in enumerate(detections):
+        if reasons[index] is None and view.size != size:
+            reasons[index] = (
+                f"image {view.size[0]}x{view.size[1]} differs from the others' {size[0]}x{size[1]}: see --mixed-sizes"
+            )
+    usable = [index for index, reason in enumerate(reasons) if reason is None]
+    repeats = repeated([detections[index] for index in usable])
+    for index, first in repeats.items():
+        reasons[usable[index]] = (
+            f"duplicate of {detections[usable[first]].image} (all corners within {SAME_VIEW_PX:g} px)"
+        )
+    require_views(len(usable) - len(repeats), len(detections), len(repeats))
+    return size, reasons
 
 
 def require_views(usable: int, total: int, repeats: int) -> None:

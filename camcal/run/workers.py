@@ -19,6 +19,8 @@ from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
+from multiprocessing.context import ForkServerContext, SpawnContext
+from multiprocessing.util import get_temp_dir
 from pathlib import Path
 from typing import Any, Generic, NamedTuple
 
@@ -36,8 +38,10 @@ _LARGE = 1 << 16  # bytes of an array that is mapped and not copied to every wor
 _ALIGNMENT = 64  # bytes, a line of the processor's cache
 # Processes are forked from a server that has imported what its parent had: they start in no time, and those of a later
 # fan-out too.
-_SERVED = "forkserver" in multiprocessing.get_all_start_methods()
-_CONTEXT = multiprocessing.get_context("forkserver") if _SERVED else multiprocessing.get_context("spawn")
+_FORKS = "forkserver" in multiprocessing.get_all_start_methods()
+_LONGEST_FOLDER = (
+    80  # bytes of the path of temporary files, in which the server has its socket: a system takes 104 or so
+)
 _LONGEST_WAIT = 3600.0  # seconds that a system's call surely takes
 
 
@@ -119,11 +123,21 @@ class Payload:
                 self.file.unlink()
 
 
+def _context() -> ForkServerContext | SpawnContext:
+    """Return how processes are started."""
+    if not _FORKS or len(os.fsencode(get_temp_dir())) > _LONGEST_FOLDER:
+        return multiprocessing.get_context("spawn")
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload([name for name in sys.modules if name.partition(".")[0] == "camcal"])
+    return context
+
+
 class _Worker:
     """A process, its pipe, and the item it is at."""
 
     def __init__(self, payload: Payload) -> None:
-        self.pipe, theirs = _CONTEXT.Pipe()
+        context = _context()
+        self.pipe, theirs = context.Pipe()
         self.ready = False
         self.task: tuple[int, Any] | None = None
         self.deadline = float("inf")
@@ -131,7 +145,7 @@ class _Worker:
             resource_tracker.ensure_running()
         with worker_environment(needs_main=b"__main__" in payload.message):
             own = theirs, payload, dict(os.environ), urls.REMOTE.get(), system.KNOWN.get()
-            self.process = _CONTEXT.Process(target=_serve, args=own, daemon=True)
+            self.process = context.Process(target=_serve, args=own, daemon=True)
             self.process.start()
         theirs.close()
 
@@ -176,9 +190,6 @@ class WorkerPool(Generic[Item, Value]):
     def outcomes(self) -> Generator[Outcome[Item, Value]]:
         """Yield the outcomes in the order of the items; the workers are gone when this ends, however it ends."""
         self.payload = Payload.of(self.function)
-        if _SERVED:
-            ours = sorted(name for name in sys.modules if name.partition(".")[0] == __name__.partition(".")[0])
-            _CONTEXT.set_forkserver_preload(ours)
         try:
             for position in itertools.count():
                 while position not in self.finished:

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 from camcal.calibrate import intrinsics
 from camcal.calibrate.fit import ShapeOptions
-from camcal.calibrate.intrinsics import Calibration, CandidateModel, compare_models
+from camcal.calibrate.intrinsics import Calibration, CandidateModel, FittedModel, compare_models
 from camcal.cameras.catalogue import DEFAULT_MODEL, model_named
 from camcal.cameras.validity import ImageCircle
 from camcal.errors import CamcalError, InsufficientData, InvalidInput, NotConverged
@@ -99,12 +99,12 @@ def select(
         if taken is not None and (own.failures or len(refused) >= _TRIES):
             break
         try:
-            calibration = intrinsics.calibrate(views, board, replace(options, model=model_named(own.name)), own.fit)
+            start = own.fit if isinstance(own, FittedModel) else None
+            calibration = intrinsics.calibrate(views, board, replace(options, model=model_named(own.name)), start)
         except _FAILURES as error:
             failure = failure or error
             continue
-        # without their fits, which hold all that was estimated
-        named = tuple(replace(candidate, fit=None) for candidate in candidates)
+        named = tuple(each.without_fit() if isinstance(each, FittedModel) else each for each in candidates)
         found = Selection(calibration, assess(calibration, circle, order), named)
         if taken is None or found.assessment.trustworthy:
             taken = _with_reason(found, order[0].name, failure if taken is None else None)
