@@ -153,11 +153,11 @@ def fit_like(
     where the model cannot take all corners in the poses of that.
     """
     problem, state = other.problem, other.state
-    kept = problem.observations.weights >= REJECTED
+    pixels = problem.observations.pixels + problem.residuals(state)
+    kept = (problem.observations.weights >= REJECTED) & np.isfinite(pixels).all(axis=0)
     some = slice(None, None, max(int(kept.sum()) // _MAPPED, 1))
-    rays, pixels = problem.camera_points(state)[:, kept].T, problem.observations.pixels + problem.residuals(state)
     start = model.start(image_size, float(state.parameters[0]))
-    lens = fit_lens(model, rays[some], pixels[:, kept].T[some], start)
+    lens = fit_lens(model, problem.camera_points(state)[:, kept].T[some], pixels[:, kept].T[some], start)
     if lens is None:
         return None
     lens = np.where(np.isnan(held), lens, held)

@@ -14,7 +14,7 @@ from scipy.optimize import least_squares
 from scipy.stats import multivariate_t
 
 from camcal.calibrate import jackknife
-from camcal.calibrate.fit import ShapeOptions, fit_briefly
+from camcal.calibrate.fit import ShapeOptions, fit_briefly, fit_like
 from camcal.calibrate.influence import influence
 from camcal.calibrate.intrinsics import CandidateModel, Options, calibrate, compare_models
 from camcal.calibrate.jackknife import predict_views
@@ -54,6 +54,47 @@ def lens(name, count, seed=1):
 
 def choice(views, scene, shape=FLAT):
     return chosen(compare_models(views, scene.board, replace(OPTIONS, shape=shape), MODELS), DEFAULT_MODEL).name
+
+
+# One lens model after another
+
+
+@pytest.mark.parametrize(
+    ("first", "name"), [*(("kannala_brandt4", name) for name in NAMES), ("opencv5", "kannala_brandt5t")]
+)
+def test_a_lens_model_that_goes_on_from_another_comes_to_where_it_would_alone(first, name):
+    scene, views = lens(name, 12)
+    other, model = plain_estimate(first, views, scene.board)[0], model_named(name)
+    free = np.full(len(model.parameter_names), np.nan)
+    like, turns = fit_like(other, np.zeros(12, np.intp), model, SIZE, free)
+    alone = plain_estimate(name, views, scene.board)[0]
+    std = np.sqrt(np.diag(alone.posterior.shared))[: len(free)]
+    np.testing.assert_allclose((like.state.parameters - alone.state.parameters) / std, 0, atol=0.1)
+    assert like.noise.sigma == pytest.approx(alone.noise.sigma, rel=1e-3)
+    assert not turns.any()
+
+
+def test_parameters_that_are_held_are_so_when_a_lens_model_goes_on_from_another():
+    scene, views = lens("opencv5", 12)
+    model = model_named("opencv5")
+    held = np.full(len(model.parameter_names), np.nan)
+    held[[0, 4]] = 801.0, -0.24
+    like, _ = fit_like(
+        plain_estimate("kannala_brandt4", views, scene.board)[0], np.zeros(12, np.intp), model, SIZE, held
+    )
+    np.testing.assert_array_equal(like.state.parameters[[0, 4]], [801.0, -0.24])
+
+
+def test_a_lens_model_that_has_no_image_of_all_corners_does_not_go_on_from_another():
+    scene = make_scene("kannala_brandt4", count=8, parameters=[330.0, 330.0, 803.0, 596.0, 0.02, -0.01, 0.004, -0.001])
+    other = plain_estimate("kannala_brandt4", scene.observe(1, noise_px=0.1), scene.board)[0]
+    state = other.state
+    translations = state.translations.copy()
+    translations[:, 2] = -0.02  # a little behind the camera
+    behind = replace(other, state=replace(state, translations=translations))
+    assert np.isfinite(behind.problem.residuals(behind.state)).any()
+    model = model_named("pinhole")
+    assert fit_like(behind, np.zeros(8, np.intp), model, SIZE, np.full(len(model.parameter_names), np.nan)) is None
 
 
 # Prediction of left-out views
