@@ -112,7 +112,7 @@ def fit_plain(brief: Estimate, turns: Array, shape: ShapeOptions) -> tuple[Estim
     turned, going on from the two results of `fit_briefly` with as much freedom of the board as `shape` gives.
     """
     result = estimate(brief.problem, brief.state, shape.additional, brief)
-    return _turned(result, turns, lambda problem, state: estimate(problem, state, shape.additional, result), shape)
+    return _turn_views(result, turns, lambda problem, state: estimate(problem, state, shape.additional, result), shape)
 
 
 def fit_briefly(
@@ -311,10 +311,10 @@ def _oriented(problem: BoardProblem, state: State, shape: ShapeOptions) -> tuple
         sigma = result.noise.sigma
         if _chi_square(result, sigma) - _chi_square(trial, sigma) > len(turns):
             result, turns = trial, sorted_apart
-    return _turned(result, turns, first, shape)
+    return _turn_views(result, turns, first, shape)
 
 
-def _turned(
+def _turn_views(
     result: Estimate, turns: Array, again: Callable[[BoardProblem, State], Estimate], shape: ShapeOptions
 ) -> tuple[Estimate, Array]:
     """Return an estimate, made `again` as long as views fit the board's shape better from another of its ends, and the

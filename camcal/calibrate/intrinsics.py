@@ -222,12 +222,12 @@ def compare_models(
             left_out = influence(brief)
             scores, sigma = predict_views(brief, left_out)
             fit = averaged_fit((brief,), WithinViews(1.0), turns, size, [left_out])
-            candidate = CandidateModel(name, scores, corners, sigma)
+            candidate = FittedModel(name, scores, corners, sigma)
             solved = Solved(fit, tuple(detections), tuple(reasons), size, None)
             try:
                 _require_plausible(fit, solved.images, own, len(detections))
                 found = record(solved, _pose_covariances(fit), BetweenViews())
-                result.append(FittedModel(name, scores, corners, sigma, calibration=found, fit=fit))
+                result.append(replace(candidate, calibration=found, fit=fit))
                 plausible = plausible or fit
             except InsufficientData as error:
                 result.append(replace(candidate, failures=tuple(message.code for message in error.failures)))

@@ -226,17 +226,12 @@ def _suggestion(name: str, transforms: Mapping[str, NamedTransform]) -> str:
 
 
 def _product(left: FrameProduct, right: FrameProduct) -> FrameProduct:
+    product = f"{left.text} * {right.text}"
     if left.source != right.target:
-        raise InvalidInput(
-            f"{left.text} * {right.text}: {left.source!r} does not meet {right.target!r}{_turned(left, right)}"
-        )
-    return FrameProduct(left.target, right.source, left.derived @ right.derived, f"{left.text} * {right.text}")
-
-
-def _turned(left: FrameProduct, right: FrameProduct) -> str:
-    """Return which of the two to invert so that they meet, in words; nothing if that does not help."""
-    if left.source == right.source:
-        return f"; did you mean {left.text} * inv({right.text})?"
-    if left.target == right.target:
-        return f"; did you mean inv({left.text}) * {right.text}?"
-    return f": they are {left.name} and {right.name}"
+        hint = f": they are {left.name} and {right.name}"
+        if left.source == right.source:
+            hint = f"; did you mean {left.text} * inv({right.text})?"
+        elif left.target == right.target:
+            hint = f"; did you mean inv({left.text}) * {right.text}?"
+        raise InvalidInput(f"{product}: {left.source!r} does not meet {right.target!r}{hint}")
+    return FrameProduct(left.target, right.source, left.derived @ right.derived, product)

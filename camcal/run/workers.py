@@ -39,9 +39,7 @@ _ALIGNMENT = 64  # bytes, a line of the processor's cache
 # Processes are forked from a server that has imported what its parent had: they start in no time, and those of a later
 # fan-out too.
 _FORKS = "forkserver" in multiprocessing.get_all_start_methods()
-_LONGEST_FOLDER = (
-    80  # bytes of the path of temporary files, in which the server has its socket: a system takes 104 or so
-)
+_LONGEST_FOLDER = 80  # bytes of the path of temporary files, where the server's socket is: systems take 104 or so
 _LONGEST_WAIT = 3600.0  # seconds that a system's call surely takes
 
 
@@ -296,7 +294,8 @@ def _serve(
 ) -> None:
     """Work in a worker process: take an item from the pipe, answer, until the pipe closes."""
     heed_parent()
-    os.environ.update(environment)  # the server of forks has that of its own start
+    os.environ.clear()  # the server of forks has that of its own start
+    os.environ.update(environment)
     urls.REMOTE.set(remote)
     system.KNOWN.set(known)
     threading.Thread(target=_leave_with_parent, args=(payload,), daemon=True).start()

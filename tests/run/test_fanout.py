@@ -11,6 +11,7 @@ import tempfile
 import time
 from collections.abc import Callable
 from functools import partial
+from multiprocessing.util import get_temp_dir
 from pathlib import Path
 
 import cv2
@@ -46,20 +47,26 @@ def gone(pid: int, within_s: float = 5.0) -> bool:
 
 
 def children() -> list[int]:
-    """Return the worker processes of this one: the children of the server that forks them. It and the resource tracker
-    of multiprocessing live on by design.
+    """Return the worker processes of this one: the children of the server that forks them, or its own where an earlier
+    test has given it a folder of temporary files with a long path. The server and the resource tracker of
+    multiprocessing live on by design.
     """
-    parents, servers = {}, set()
+    parents, servers, spawned = {}, set(), []
     for stat in Path("/proc").glob("[0-9]*/stat"):
         try:
-            process, parent = int(stat.parent.name), int(stat.read_text().rpartition(")")[2].split()[1])
+            state, parent = stat.read_text().rpartition(")")[2].split()[:2]
+            process, parent = int(stat.parent.name), int(parent)
             command = (stat.parent / "cmdline").read_text()
         except (FileNotFoundError, ProcessLookupError):
+            continue
+        if state == "Z":  # ended, and not yet collected by the server
             continue
         parents[process] = parent
         if parent == os.getpid() and "forkserver" in command:
             servers.add(process)
-    return [process for process, parent in parents.items() if parent in servers]
+        if parent == os.getpid() and "spawn_main" in command:
+            spawned.append(process)
+    return spawned + [process for process, parent in parents.items() if parent in servers]
 
 
 class Recorder:
@@ -188,6 +195,18 @@ def test_every_worker_has_one_opencv_thread(way):
     assert cv2.getNumThreads() == before
 
 
+def test_worker_processes_have_the_environment_that_their_parent_has_by_then(monkeypatch):
+    def seen():
+        return [each.value for each in fan_out(os.getenv, ["CAMCAL_PROBE"] * 2, jobs=2, processes=True)]
+
+    monkeypatch.setenv("CAMCAL_PROBE", "first")
+    assert seen() == ["first", "first"]
+    monkeypatch.setenv("CAMCAL_PROBE", "second")
+    assert seen() == ["second", "second"]
+    monkeypatch.delenv("CAMCAL_PROBE")
+    assert seen() == [None, None]
+
+
 def test_worker_processes_have_one_thread_of_opencv_and_of_blas_and_the_environment_is_put_back(monkeypatch):
     monkeypatch.setenv("OPENBLAS_NUM_THREADS", "7")
     monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
@@ -226,6 +245,7 @@ def test_a_batch_that_fails_with_its_last_item_has_left_out_nothing():
 
 
 def test_large_arrays_of_the_function_are_read_by_workers_from_one_file(tmp_path, monkeypatch):
+    get_temp_dir()  # multiprocessing's own folder, once for a process, stands elsewhere
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     arrays = np.ones(100_001, np.uint8), np.arange(1e5), np.ones(5), np.ones((500, 400), order="F")
     outcomes = fan_out(work.Sum(arrays), range(3), jobs=2, processes=True)
