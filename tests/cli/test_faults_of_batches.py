@@ -203,6 +203,10 @@ def test_images_65_000_pixels_wide_are_drawn(run, folder, extra):
     assert contents("out") == contents("expected")
 
 
+# Python cuts the bytecode of what it imports off where a file may not grow, and every later process reads the rest.
+WITHOUT_BYTECODE = {"PYTHONDONTWRITEBYTECODE": "1"}
+
+
 def small_files():
     """Let this process and those that it starts write no file of more than some kilobytes, as on a full disk."""
     resource.setrlimit(resource.RLIMIT_FSIZE, (6000, 6000))
@@ -220,7 +224,7 @@ def test_a_full_disk_costs_what_it_does_not_take_and_the_rest_is_reused(folder, 
 
     def into(output, *more, **limit):
         words = [sys.executable, "-c", CAMCAL, *(word.format(output) for word in COMMANDS[command]), *more]
-        environment = os.environ | {"TMPDIR": tempfile.gettempdir()}
+        environment = os.environ | {"TMPDIR": tempfile.gettempdir(), **WITHOUT_BYTECODE}
         done = subprocess.run(words, env=environment, capture_output=True, text=True, check=False, **limit)
         assert "Traceback" not in done.stderr
         return done

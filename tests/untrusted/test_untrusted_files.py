@@ -256,7 +256,7 @@ def test_a_file_that_cannot_grow_leaves_the_old_one(tmp_path):
         "signal.signal(signal.SIGXFSZ, signal.SIG_IGN); resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000));"
         f"files.write_bytes(Path({str(path)!r}), bytes(5000))"
     )
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    done = subprocess.run([sys.executable, "-B", "-c", program], capture_output=True, text=True, check=False)
     assert "FileError" in done.stderr.splitlines()[-1]
     assert "cannot be written: File too large" in done.stderr
     assert path.read_text() == "old"

@@ -193,6 +193,7 @@ def _serve(arguments: list[str], room: Path, largest: int) -> None:
         resource.setrlimit(resource.RLIMIT_CPU, (int(TIME_S), int(TIME_S) + 5))
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
         resource.setrlimit(resource.RLIMIT_FSIZE, (largest, largest))
+        sys.dont_write_bytecode = True  # it would be cut off there, and every later process would read the rest
         signal.alarm(int(3 * TIME_S))
         os.chdir(room)
         for number, name in ((1, "out.txt"), (2, "err.txt")):
