@@ -1,6 +1,7 @@
 """Progress reports, and the outcome of one item of a fan-out."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Generic, Protocol, TypeVar
 
@@ -48,6 +49,16 @@ class Collected(Silent):
 
 
 SILENT = Silent()
+
+
+@contextmanager
+def stage(progress: Progress, what: str) -> Iterator[None]:
+    """Report a stage of work that has no items."""
+    progress.start(what, None)
+    try:
+        yield
+    finally:
+        progress.finish()
 
 
 def warn_of(messages: Iterable[Message], progress: Progress) -> None:

@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.special import gammaincc, ndtri
 
 from camcal.arrays import Array
 from camcal.calibrate.effects import scaled
@@ -46,6 +45,8 @@ class Found:
         """Return how far the gain is beyond that of the best of so many independent places by chance, in standard
         deviations.
         """
+        from scipy.special import gammaincc, ndtri
+
         chance = places * float(gammaincc(len(self.size) / 2, max(self.gain, 0.0) / 2))
         return -float(ndtri(chance / 2)) if chance < 1 else 0.0
 

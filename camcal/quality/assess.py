@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from scipy.special import chdtrc, ndtri, stdtrit
 
 from camcal.arrays import Array, FloatArray
 from camcal.brief import Brief
@@ -196,6 +195,8 @@ def _few_views_factor(count: int) -> float:
     """Return by how much wider an interval is where the standard deviation is from so many views, 1 for many."""
     if count >= _FEW_FOR_SCATTER:
         return 1.0
+    from scipy.special import ndtri, stdtrit
+
     quantile = (1 + _INTERVAL) / 2
     return float(stdtrit(max(count - 1, 1), quantile) / ndtri(quantile))
 
@@ -347,6 +348,8 @@ def radial_trend(calibration: Calibration) -> Trend:
     """Return whether residuals point inwards or outwards by distance from the centre, as a wrong lens model's do."""
     offset = calibration.pixels - _centre(calibration)
     radius = np.linalg.norm(offset, axis=1)
+    from scipy.special import chdtrc  # here, as importing it takes longer than many commands
+
     radial = np.einsum("ni,ni->n", calibration.residuals, offset) / np.maximum(radius, 1e-9)
     edges = np.quantile(radius, np.linspace(0, 1, _RINGS + 1))
     ring = np.clip(np.searchsorted(edges, radius, side="right") - 1, 0, _RINGS - 1)

@@ -19,7 +19,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import KDTree
 
 from camcal import opencv
 from camcal.arrays import Array
@@ -160,6 +159,8 @@ def patterns(saddles: Saddles) -> list[Array]:
 
 def _links(saddles: Saddles) -> Array:
     """Return the next corner (N, 4) along the edge in each quadrant from the dark sector on, clockwise, -1 if none."""
+    from scipy.spatial import KDTree
+
     count = len(saddles.pixels)
     nearest = KDTree(saddles.pixels).query(saddles.pixels, k=min(NEAREST + 1, count))
     distance, other = (np.asarray(column)[:, 1:] for column in nearest)

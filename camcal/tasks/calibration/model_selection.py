@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from camcal.calibrate import intrinsics
 from camcal.calibrate.fit import ShapeOptions
 from camcal.calibrate.intrinsics import Calibration, CandidateModel, FittedModel, compare_models
-from camcal.cameras.catalogue import DEFAULT_MODEL, model_named
+from camcal.cameras.catalogue import DEFAULT_MODEL, WIDE_MODEL, model_named
 from camcal.cameras.validity import ImageCircle
 from camcal.errors import CamcalError, InsufficientData, InvalidInput, NotConverged
 from camcal.messages import Message
@@ -147,6 +147,25 @@ def compared(
         others = compare_models(views, board, options, [model_named(name) for name in _CONTAINED])
         found |= {own.name: own for own in others}
     return judge([found[name] for name in CANDIDATES if name in found], circle)
+
+
+def brief_calibration(
+    views: Sequence[BoardDetection],
+    board: Board,
+    options: intrinsics.Options,
+    circle: ImageCircle | None = None,
+    *,
+    choose: bool = True,
+) -> Calibration | None:
+    """Return a brief calibration by which corners can be expected well enough to measure them, None where there is
+    none: with DEFAULT_MODEL, or with WIDE_MODEL where that does not pass, unless the lens model is not to be chosen.
+    """
+    found: list[CandidateModel] = []
+    for name in (DEFAULT_MODEL, WIDE_MODEL) if choose else (options.model.name,):
+        found += judge(compare_models(views, board, options, [model_named(name)]), circle)
+        if found[-1].calibration is not None and not found[-1].failures:
+            return found[-1].calibration
+    return rank_models(found, DEFAULT_MODEL)[0].calibration
 
 
 def _is_of_the_lens(error: CamcalError) -> bool:
