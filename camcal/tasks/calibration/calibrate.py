@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 from camcal import messages
 from camcal.calibrate import intrinsics
@@ -38,8 +38,6 @@ from camcal.tasks.calibration.model_selection import Selection, brief_calibratio
 from camcal.tasks.calibration.options import CalibrateOptions
 from camcal.tasks.calibration.video_frames import as_data as frame_data
 from camcal.tasks.figure_files import figure_data, write_figures
-
-Result = TypeVar("Result")
 
 
 @writes
@@ -95,7 +93,9 @@ def calibrated(
     circle = known_circle(seen.detections, guess)
     if options.save_detections:
         detections.write(options.save_detections, seen.detections)
-    solve_seen = partial(solve, board=seen.board, options=how, circle=circle, choose=options.model is None)
+    solve_seen = partial(
+        solve, board=seen.board, options=how, circle=circle, choose=options.model is None, progress=progress
+    )
     refinement: RefinementSummary | None = None
     found: tuple[Message, ...] = ()
     try:
@@ -105,7 +105,7 @@ def calibrated(
             )
             seen, selection, refinement, found = _refine(seen, brief, solve_seen, options, progress)
         else:
-            selection = _solve_views(solve_seen, seen, progress)
+            selection = solve_seen(seen.detections.views)
     except (InsufficientData, NotConverged) as refusal:
         error = screenshots(seen, options, progress) or refusal
         if options.save_detections and any(view.located for view in seen.detections.views):
@@ -124,7 +124,8 @@ def calibrated(
     file = camera_file(calibration, assessment, options.name, words, channels=channels, circle=circle)
     figures = _write_figures(options, calibration, assessment.uncertainty, selection.candidates, circle)
     if options.output is not None:
-        native.write(options.output, file)
+        with stage(progress, "writing"):
+            native.write(options.output, file)
     said = {message.code for message in seen.warnings}
     found += tuple(own for own in assessment.warnings if own.code != "unit" or "unknown_board_size" not in said)
     warn_of(found, progress)
@@ -172,11 +173,6 @@ def _write_figures(
     return write_figures(options.figures, calibration_plots(calibration, uncertainty, candidates, circle))
 
 
-def _solve_views(solve: Callable[[Sequence[BoardDetection]], Result], seen: BoardViews, progress: Progress) -> Result:
-    with stage(progress, "solving"):
-        return solve(seen.detections.views)
-
-
 def _refine(
     seen: BoardViews,
     brief: Callable[[Sequence[BoardDetection]], Calibration | None],
@@ -189,17 +185,18 @@ def _refine(
 
     brief: returns the calibration; a whole one is made where none of the brief ones would do.
     """
-    lens = _solve_views(brief, seen, progress)
+    with stage(progress, "solving briefly"):
+        lens = brief(seen.detections.views)
     if lens is None:
         seen, _ = _measure(seen, None, options, progress)
-        lens = _solve_views(solve, seen, progress).calibration
+        lens = solve(seen.detections.views).calibration
     better, summary = _measure(seen, lens, options, progress)
     try:
-        return better, _solve_views(solve, better, progress), summary, ()
+        return better, solve(better.detections.views), summary, ()
     except (InsufficientData, NotConverged) as error:
         seen, _ = _measure(seen, None, options, progress)
         text = f"corner refinement with the calibrated lens skipped, as with --no-refine: {error.message}"
-        return seen, _solve_views(solve, seen, progress), None, (Message("refinement_failed", text),)
+        return seen, solve(seen.detections.views), None, (Message("refinement_failed", text),)
 
 
 def _measure(

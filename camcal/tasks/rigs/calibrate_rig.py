@@ -97,7 +97,7 @@ def _calibrate(seen: RigViews, settings: RigSettings, command: Sequence[str], pr
 
     try:
         if refined:
-            with stage(progress, "solving"):
+            with stage(progress, "solving briefly"):
                 lenses = brief_lenses(seen.captures, seen.board, settings, shape, circles)
             seen, (models, calibration), refinement, found = _refine(seen, lenses, solve, settings, progress)
         else:
