@@ -48,7 +48,8 @@ class Call:
             work()
             if self.documents:
                 document = plain(self.documents[-1]())
-                finished.keep({name: value for name, value in document.items() if name not in {"reused", "timings"}})
+                kept = {name: value for name, value in document.items() if name != "reused"}
+                finished.keep(kept | ({"timings": {}} if "timings" in kept else {}))
             return
         failures = [Message(**each) for each in known.get("failures", ())]
 
