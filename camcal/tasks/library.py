@@ -84,10 +84,15 @@ def measure_corners(image: File | Array, board: Board | File, located: BoardDete
     """Return corners of a board of crossing edges measured in an image, with covariance (N, 2, 2) px².
 
     image, board: as for `locate_board`. located: what that returned, or corners of another program, good to half a
-    pixel. Those that the image does not bear out are left out. Raises InvalidInput for a board of circles.
+    pixel. Those that the image does not bear out are left out. Raises InvalidInput for a board of circles, and for ids
+    that the board does not have.
     """
-    gray = _gray(image)
-    return replace(measure(MaskedImage(gray), _board(board), located), size=gray.shape[::-1])
+    gray, known = _gray(image), _board(board)
+    if located.found and not 0 <= located.ids.min() <= located.ids.max() < known.count:
+        raise InvalidInput(
+            f"ids {located.ids.min()} to {located.ids.max()}: a {known.words} has 0 to {known.count - 1}"
+        )
+    return replace(measure(MaskedImage(gray), known, located), size=gray.shape[::-1])
 
 
 def _gray(image: File | Array) -> Array:
