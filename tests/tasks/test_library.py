@@ -81,7 +81,7 @@ def test_corners_of_another_program_are_measured_and_those_of_circles_are_not(im
     assert np.median(off) < 5e-3
     with pytest.raises(camcal.InvalidInput, match="checkerboard corners"):
         camcal.measure_corners(images[0], "circles:6x5:25mm", rounded)
-    with pytest.raises(camcal.InvalidInput, match="ids 0 to 29: a .* has 0 to 11"):
+    with pytest.raises(camcal.InvalidInput, match=r"ids 0 to 29: a .* has 0 to 11"):
         camcal.measure_corners(images[0], "chessboard:4x3:25mm", rounded)
 
 

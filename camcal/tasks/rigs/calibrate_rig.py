@@ -184,7 +184,14 @@ def _solver_options(
 ) -> RigOptions:
     lenses = {name: starting(lens.camera, models.models[name]) for name, lens in given.items()}
     return RigOptions(
-        models.models, settings.lenses, lenses, shape, settings.max_rejected, settings.motion, models.others
+        models.models,
+        settings.lenses,
+        lenses,
+        shape,
+        settings.max_rejected,
+        settings.motion,
+        models.others,
+        models.starts,
     )
 
 

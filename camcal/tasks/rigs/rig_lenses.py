@@ -10,9 +10,9 @@ import numpy as np
 
 from camcal import files
 from camcal.calibrate import intrinsics
-from camcal.calibrate.fit import ShapeOptions
+from camcal.calibrate.fit import CalibrationFit, ShapeOptions
 from camcal.calibrate.initialise import sweep_focal
-from camcal.calibrate.intrinsics import Calibration, CandidateModel
+from camcal.calibrate.intrinsics import Calibration, CandidateModel, FittedModel
 from camcal.calibrate.rigs.record import Captures
 from camcal.cameras.catalogue import DEFAULT_MODEL, WIDE_MODEL, model_named
 from camcal.cameras.lens import CameraModel
@@ -47,13 +47,14 @@ class GivenLens:
 
 @dataclass(frozen=True, eq=False)
 class RigModels:
-    """The lens model of every camera, others that predict alike, and the models that were compared for cameras of a
-    kind, by its cameras.
+    """The lens model of every camera, others that predict alike, the models that were compared for cameras of a kind,
+    by its cameras, and brief fits of cameras with their models.
     """
 
     models: Mapping[str, CameraModel]
     others: Mapping[str, CameraModel] = field(default_factory=dict)
     candidates: Mapping[tuple[str, ...], tuple[CandidateModel, ...]] = field(default_factory=dict)
+    starts: Mapping[str, CalibrationFit] = field(default_factory=dict)
     lines: tuple[str, ...] = ()
 
     def candidates_of(self, name: str) -> list[CandidateModel]:
@@ -196,6 +197,7 @@ def rig_models(
         {name: {**models, **found.models}[name] for name in captures.cameras},
         found.others,
         found.candidates,
+        found.starts,
         found.lines,
     )
 
@@ -260,7 +262,13 @@ def _chosen_for(
     alike = [(kind.names, alternative(kind.candidates, kind.model)) for kind in kinds]
     others = {name: model_named(other.name) for own, other in alike if other is not None for name in own}
     lines = tuple(kind.line for kind in kinds if kind.model != DEFAULT_MODEL)
-    return RigModels(models, others, {kind.names: kind.candidates for kind in kinds}, lines)
+    starts = {
+        name: own.fit
+        for name, candidates in found.items()
+        for own in candidates
+        if own.name == models[name].name and isinstance(own, FittedModel) and own.fit is not None
+    }
+    return RigModels(models, others, {kind.names: kind.candidates for kind in kinds}, starts, lines)
 
 
 def _focal(views: Sequence[BoardDetection], board: Board) -> float:
