@@ -1,8 +1,8 @@
 """Refinement of detected corners of a board, with covariance.
 
-They are measured along the edges that cross at the points of the board as printed, from how blurred its edges are. Who
-knows the lens and where the board is looks once more: corners that were found are measured again along the edges as the
-lens bends them, corners that were missed are searched for where they must be.
+They are measured along the edges that cross at the points of the board as printed, from how blurred its edges are.
+Where the lens and the pose of the board are known, they are measured along the edges as the lens bends them, and corners
+that were missed are searched for where they must be.
 """
 
 from collections.abc import Callable, Sequence
