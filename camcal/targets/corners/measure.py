@@ -1,7 +1,7 @@
 """Refinement of detected corners of a board, with covariance.
 
 They are measured along the edges that cross at the points of the board as printed, from how blurred its edges are.
-Where the lens and the pose of the board are known, they are measured along the edges as the lens bends them, and corners
+Where the lens and the pose of the board are known, they are measured along the edges as the lens bends them, and those
 that were missed are searched for where they must be.
 """
 
