@@ -202,10 +202,14 @@ def solve(
 
 
 def compare_models(
-    detections: Sequence[BoardDetection], board: Board, options: Options, models: Sequence[CameraModel]
+    detections: Sequence[BoardDetection],
+    board: Board,
+    options: Options,
+    models: Sequence[CameraModel],
+    start: CalibrationFit | None = None,
 ) -> tuple[CandidateModel, ...]:
     """Return how well lens models predict views, in their order, each with a brief calibration, which takes errors
-    within views for noise; options.model does not matter.
+    within views for noise; options.model does not matter. start: the brief fit of another model to go on from.
 
     Raises InsufficientData for too few views.
     """
@@ -214,7 +218,7 @@ def compare_models(
     observations = Observations.of(usable)
     corners = int(observations.present.sum())
     result: list[CandidateModel] = []
-    plausible: CalibrationFit | None = None
+    plausible = start
     for own in (replace(options, model=model) for model in models):
         name = own.model.name
         try:

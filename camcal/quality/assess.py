@@ -16,14 +16,16 @@ from camcal.arrays import Array, FloatArray
 from camcal.brief import Brief
 from camcal.calibrate.intrinsics import Calibration, CandidateModel
 from camcal.calibrate.view_records import names_of
+from camcal.cameras.directions import lens_difference
 from camcal.cameras.validity import ImageCircle, folds_inside
 from camcal.messages import Message, counted
-from camcal.quality.criteria import CRITERIA, KNOWN_PX, between_views, largest_tilt_deg, message
+from camcal.quality.criteria import CRITERIA, KNOWN_PX, MUCH, beats, between_views, largest_tilt_deg, message
 from camcal.quality.projection_uncertainty import (
     KnownRegion,
     ProjectionUncertainty,
     known_region,
     projection_uncertainty,
+    with_bias,
     with_pattern,
 )
 from camcal.targets.board_types import BOARD_TYPES
@@ -53,7 +55,7 @@ _RINGS = 8
 class Assessment(Brief):
     """failures: why a calibration must not be trusted (none: it may be, within the region). warnings: what is weak.
 
-    uncertainty: of projections, what the residuals say against the lens model included.
+    uncertainty: of projections, what the residuals and a better lens model say against the one in use included.
     """
 
     failures: tuple[Message, ...]
@@ -77,19 +79,24 @@ def assess(
     """Return the failures and warnings of a calibration by all criteria.
 
     circle: the image circle, where there is one: the lens is not assessed outside of it. candidates: other lens models
-    that were tried, in their order, which are named where the one in use does not do.
+    that were tried, in their order, which are named where the one in use does not do; the one in use may be among them.
     """
     camera, trend = calibration.camera, radial_trend(calibration)
     uncertainty = projection_uncertainty(camera, observed=calibration.pixels, circle=circle)
     stated_px = uncertainty.figures().get("inside_rms_px", 0.0)
     if trend.chance < _CHANCE:
         uncertainty = with_pattern(uncertainty, _centre(calibration), trend.radii, trend.means)
+    bias, better = np.zeros((len(uncertainty.pixels), 2)), better_model(camera.model.name, candidates)
+    if better is not None and better.calibration is not None:
+        bias = lens_difference(camera, better.calibration.camera, uncertainty.pixels, uncertainty.inside)
+        uncertainty = with_bias(uncertainty, bias)
     region = known_region(uncertainty, KNOWN_PX / _few_views_factor(len(calibration.used)))
     others = other_models(camera.model.name, candidates)
     parts = (
         partial(_fold, circle=circle, others=others),
         _cameras,
         partial(_lens_model, trend=trend, stated_px=stated_px, others=others),
+        partial(_better_model, better=better, candidates=candidates, bias=bias[uncertainty.inside]),
         _views,
         partial(_coverage, circle=circle),
         _noise,
@@ -119,6 +126,15 @@ def passing_model(used: str, candidates: Sequence[CandidateModel]) -> str | None
     return next(
         (own.name for own in candidates if own.name != used and own.scores is not None and not own.failures), None
     )
+
+
+def better_model(used: str, candidates: Sequence[CandidateModel]) -> CandidateModel | None:
+    """Return the first candidate that passes and predicts much better than the lens model in use, None if there is none
+    or that is none of them.
+    """
+    own = next((each for each in candidates if each.name == used and each.scores is not None), None)
+    passing = [each for each in candidates if each.calibration is not None and not each.failures]
+    return next((each for each in passing if own is not None and beats(each, own, MUCH)), None)
 
 
 def other_models(used: str, candidates: Sequence[CandidateModel]) -> str:
@@ -175,6 +191,21 @@ def _lens_model(calibration: Calibration, trend: "Trend", stated_px: float, othe
         yield message("lens_model", text, size / max(stated_px, _EXACT_PX))
     else:
         yield message("residual_pattern", f"{text}included in the projection uncertainty", size / calibration.sigma_px)
+
+
+def _better_model(
+    calibration: Calibration, better: CandidateModel | None, candidates: Sequence[CandidateModel], bias: Array
+) -> Iterator[Message]:
+    """Yield which lens model predicts better and by how much the two differ: bias (N, 2) px where corners were seen."""
+    if better is None:
+        return
+    own = next(each for each in candidates if each.name == calibration.camera.model.name)
+    apart = float(np.sqrt(np.nanmean(np.sum(bias**2, axis=1))))
+    text = (
+        f"{better.name} predicts left-out views better than {own.name} ({better.sigma_px:.2g} px, {own.sigma_px:.2g} "
+        f"px); the two differ by {apart:.2g} px RMS, included in the projection uncertainty: use --model {better.name}"
+    )
+    yield message("better_model", text, better.score - own.score)
 
 
 def _region(calibration: Calibration, region: KnownRegion, others: str) -> Iterator[Message]:

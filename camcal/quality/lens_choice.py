@@ -12,12 +12,11 @@ import numpy as np
 from camcal.calibrate.intrinsics import CandidateModel
 from camcal.cameras.validity import ImageCircle
 from camcal.quality.assess import assess
+from camcal.quality.criteria import MUCH, beats
 
-# By how much a model must predict better: nats a corner (0.1 is 5 % of the prediction error), and standard errors of
-# the difference between views. Than the preferred one by much, or less if that is clearer; than a simpler one by
-# little: a lens that is described badly at the edge of the image costs its few corners there no more.
-GAIN = 0.10
-_MUCH, _LITTLE = ((GAIN, 1.5), (0.02, 2.5)), ((0.005, 1.5),)
+# By how much a model must predict better, as MUCH: than the preferred one by that, than a simpler one by little: a lens
+# that is described badly at the edge of the image costs its few corners there no more.
+_LITTLE = ((0.005, 1.5),)
 # Of models that predict alike: the share of the map's standard deviation below which another one is better known, as
 # single lenses differ by chance; and that deviation, px, below which it is known well enough, as it is below the
 # prediction error.
@@ -59,11 +58,11 @@ def chosen(candidates: Sequence[CandidateModel], preferred: str) -> CandidateMod
     """
     best = max(candidates, key=lambda own: own.score)
     first = next((own for own in candidates if own.name == preferred), None)
-    if first is None or _beats(best, first, _MUCH):
-        first = next(own for own in candidates if not _beats(best, own, _LITTLE))
+    if first is None or beats(best, first, MUCH):
+        first = next(own for own in candidates if not beats(best, own, _LITTLE))
     if first.map_px is None or first.sigma_px is None or first.map_px <= max(first.sigma_px, _WELL_KNOWN_PX):
         return first
-    alike = [own for own in candidates if own.map_px is not None and not _beats(best, own, _MUCH)]
+    alike = [own for own in candidates if own.map_px is not None and not beats(best, own, MUCH)]
     # what priors hold may seem to be known well
     alike = [own for own in alike if own.calibration is None or not own.calibration.held_by_prior]
     known = min(alike, key=lambda own: own.map_px or 0.0, default=first)
@@ -76,14 +75,5 @@ def alternative(candidates: Sequence[CandidateModel], used: str) -> CandidateMod
     """
     own = next((each for each in candidates if each.name == used and each.scores is not None), None)
     others = [each for each in candidates if each.name != used and each.scores is not None and not each.failures]
-    alike = [each for each in others if own is not None and not _beats(own, each, _MUCH)]
+    alike = [each for each in others if own is not None and not beats(own, each, MUCH)]
     return max(alike, key=lambda each: each.score, default=None)
-
-
-def _beats(one: CandidateModel, other: CandidateModel, margins: Sequence[tuple[float, float]]) -> bool:
-    """Return whether a candidate predicts better than another by any of the margins: nats a corner, standard errors."""
-    if one.scores is None or other.scores is None:
-        return one.scores is not None
-    gains = one.scores - other.scores
-    error = float(np.std(gains, ddof=1)) * np.sqrt(len(gains)) if len(gains) > 1 else np.inf
-    return any(gains.sum() > max(least * one.corners, errors * error) for least, errors in margins)

@@ -19,12 +19,13 @@ from camcal.calibrate.influence import influence
 from camcal.calibrate.intrinsics import CandidateModel, Options, calibrate, compare_models
 from camcal.calibrate.jackknife import predict_views
 from camcal.cameras.catalogue import DEFAULT_MODEL, model_named
-from camcal.cameras.directions import in_hull
+from camcal.cameras.directions import in_hull, lens_difference
 from camcal.cameras.observations import Observations
 from camcal.cameras.validity import field_of_view, folds_inside
 from camcal.errors import InsufficientData, InvalidInput, NotConverged
 from camcal.geometry import rotation as so3
-from camcal.quality.lens_choice import GAIN, chosen, rank_models
+from camcal.quality.criteria import GAIN
+from camcal.quality.lens_choice import chosen, rank_models
 from camcal.simulate import render
 from camcal.solve.descent import Stopping
 from camcal.solve.least_squares import minimise
@@ -535,6 +536,23 @@ def test_a_refused_lens_model_is_answered_by_one_that_was_tried_and_passes():
     again = solve_given(views, scene.board, replace(OPTIONS, model=model_named(named)))
     assert again.assessment.trustworthy
     assert again.candidates == ()
+
+
+@pytest.mark.parametrize(
+    ("true", "given", "said"),
+    [("opencv8", "opencv5", True), ("opencv8", "opencv8", False), ("opencv5", "opencv8", False)],
+)
+def test_a_given_lens_model_that_predicts_much_worse_says_so_and_its_uncertainty_too(true, given, said):
+    scene, views = lens(true, 12)
+    found = solve_given(views, scene.board, replace(OPTIONS, model=model_named(given)))
+    codes = {message.code for message in found.assessment.messages}
+    assert ("better_model" in codes) == said
+    best = select(views, scene.board, OPTIONS).calibration.camera
+    rms_px = np.sqrt(np.nanmean(lens_difference(found.calibration.camera, best, found.calibration.pixels) ** 2))
+    assert found.assessment.uncertainty.figures()["inside_rms_px"] > 0.5 * rms_px
+    if said:  # unless parameters are held, which others do not know
+        held = replace(OPTIONS, model=model_named(given), fixed=("k3",), guess=found.calibration.camera)
+        assert "better_model" not in {own.code for own in solve_given(views, scene.board, held).assessment.messages}
 
 
 def test_a_lens_model_that_makes_the_views_look_parallel_is_named_as_the_cause():

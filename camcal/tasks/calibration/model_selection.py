@@ -4,14 +4,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from camcal.calibrate import intrinsics
-from camcal.calibrate.fit import ShapeOptions
+from camcal.calibrate.fit import CalibrationFit, ShapeOptions
 from camcal.calibrate.intrinsics import Calibration, CandidateModel, FittedModel, compare_models
-from camcal.cameras.catalogue import DEFAULT_MODEL, model_named
+from camcal.cameras.catalogue import DEFAULT_MODEL, WIDE_MODEL, model_named
 from camcal.cameras.validity import ImageCircle
 from camcal.errors import CamcalError, InsufficientData, InvalidInput, NotConverged
 from camcal.messages import Message
 from camcal.quality.assess import Assessment, assess, other_models, passing_model
-from camcal.quality.lens_choice import GAIN, judge, rank_models
+from camcal.quality.criteria import GAIN
+from camcal.quality.lens_choice import judge, rank_models
 from camcal.targets.board import Board
 from camcal.targets.detection import BoardDetection
 
@@ -105,7 +106,9 @@ def select(
             failure = failure or error
             continue
         named = tuple(each.without_fit() if isinstance(each, FittedModel) else each for each in candidates)
-        found = Selection(calibration, assess(calibration, circle, order), named)
+        # a model that was refused is none to name, however brief calibrations with it are judged
+        left = [replace(each, failures=refused.get(each.name, each.failures)) for each in order]
+        found = Selection(calibration, assess(calibration, circle, left), named)
         if taken is None or found.assessment.trustworthy:
             taken = _with_reason(found, order[0].name, failure if taken is None else None)
         if found.assessment.trustworthy:
@@ -113,7 +116,6 @@ def select(
         refused[own.name] = tuple(message.code for message in found.assessment.failures)
     if taken is None:
         raise failure or NotConverged("no lens model converged")
-    # a model that was refused is none to name, however brief calibrations with it are judged
     left = [replace(own, failures=refused.get(own.name, own.failures)) for own in order]
     return replace(taken, assessment=assess(taken.calibration, circle, left))
 
@@ -121,32 +123,49 @@ def select(
 def solve_given(
     views: Sequence[BoardDetection], board: Board, options: intrinsics.Options, circle: ImageCircle | None = None
 ) -> Selection:
-    """Return the calibration with the lens model of the options; where it is not to be trusted, with what other models
-    would lead to. Raises as `intrinsics.calibrate` does.
+    """Return the calibration with the lens model of the options, assessed beside the usual models, which may predict
+    better unless parameters are held; where it is not to be trusted, with what other models would lead to. Raises as
+    `intrinsics.calibrate` does.
     """
     free = replace(options, fixed=(), guess=None)
+    [own] = compare_models(views, board, options, [options.model])
+    start = own.fit if isinstance(own, FittedModel) else None
     try:
-        calibration = intrinsics.calibrate(views, board, options)
+        calibration = intrinsics.calibrate(views, board, options, start)
     except (InsufficientData, NotConverged) as error:
-        others = rank_models(compared(views, board, free, circle), DEFAULT_MODEL) if _is_of_the_lens(error) else ()
-        raise _with_remedy(error, options.model.name, others) from error
-    found = Selection(calibration, assess(calibration, circle))
+        others = compared(views, board, free, circle, start) if _is_of_the_lens(error) else ()
+        raise _with_remedy(error, options.model.name, rank_models(others, DEFAULT_MODEL)) from error
+    beside: Sequence[CandidateModel] = ()
+    if not options.fixed:  # what is held is known better than other models know it
+        usual = [model_named(name) for name in (DEFAULT_MODEL, WIDE_MODEL) if name != own.name]
+        known = judge(compare_models(views, board, free, usual, start), circle)
+        beside = rank_models((own, *known), DEFAULT_MODEL)
+    found = Selection(calibration, assess(calibration, circle, beside))
     if found.assessment.trustworthy:
         return found
-    others = rank_models(compared(views, board, free, circle), DEFAULT_MODEL)
-    return replace(found, assessment=assess(calibration, circle, others))
+    every = rank_models(compared(views, board, free, circle, start, beside), DEFAULT_MODEL)
+    return replace(found, assessment=assess(calibration, circle, every))
 
 
 def compared(
-    views: Sequence[BoardDetection], board: Board, options: intrinsics.Options, circle: ImageCircle | None = None
+    views: Sequence[BoardDetection],
+    board: Board,
+    options: intrinsics.Options,
+    circle: ImageCircle | None = None,
+    start: CalibrationFit | None = None,
+    known: Sequence[CandidateModel] = (),
 ) -> tuple[CandidateModel, ...]:
-    """Return the candidates, the simplest first; models that DEFAULT_MODEL contains only where it fails."""
-    wide = [name for name in CANDIDATES if name not in _CONTAINED]
-    found = {own.name: own for own in compare_models(views, board, options, [model_named(name) for name in wide])}
-    if found[DEFAULT_MODEL].scores is None:
-        others = compare_models(views, board, options, [model_named(name) for name in _CONTAINED])
-        found |= {own.name: own for own in others}
-    return judge([found[name] for name in CANDIDATES if name in found], circle)
+    """Return the candidates, the simplest first; models that DEFAULT_MODEL contains only where it fails.
+
+    start: as of `compare_models`. known: those that are compared already, which are among the candidates.
+    """
+    found = {own.name: own for own in known}
+    for names in ([name for name in CANDIDATES if name not in _CONTAINED], _CONTAINED):
+        models = [model_named(name) for name in names if name not in found]
+        found |= {own.name: own for own in compare_models(views, board, options, models, start)}
+        if found[DEFAULT_MODEL].scores is not None:
+            break
+    return judge([found[name] for name in dict.fromkeys((*CANDIDATES, *found)) if name in found], circle)
 
 
 def _is_of_the_lens(error: CamcalError) -> bool:
