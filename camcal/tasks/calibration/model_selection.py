@@ -1,7 +1,8 @@
 """Lens model selection: the first of the candidates, in their order, whose calibration passes the verdict."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 
 from camcal.calibrate import intrinsics
 from camcal.calibrate.fit import CalibrationFit, ShapeOptions
@@ -19,8 +20,11 @@ from camcal.targets.detection import BoardDetection
 # the simplest first: by the number of their parameters
 CANDIDATES = ("pinhole", "opencv4", "kannala_brandt4", "opencv5", "kannala_brandt5t", "opencv8")
 _CONTAINED = ("pinhole", "opencv4")  # DEFAULT_MODEL with coefficients at zero
-# Refusals that another lens model may remedy; a lens that does not fit may have an infinite focal length.
-_OF_THE_LENS = {"lens_model_does_not_fit", "lens_model_or_blur", "no_tilted_views", "undetermined_focal_length"}
+# Refusals and failures that another lens model may remedy; a lens that does not fit may have an infinite focal length.
+_OF_THE_LENS = {
+    *("lens_model_does_not_fit", "lens_model_or_blur", "no_tilted_views", "undetermined_focal_length"),
+    *("lens_model", "not_invertible", "known_region"),
+}
 _TRIES = 2  # calibrations at most, where the first is not to be trusted
 _FAILURES = (InvalidInput, InsufficientData, NotConverged)
 
@@ -91,7 +95,7 @@ def select(
     pass either, the first is returned. Raises InsufficientData, InvalidInput or NotConverged where no model leads to a
     calibration.
     """
-    candidates = compared(views, board, options, circle)
+    candidates = _compare_if_it_helps(views, board, options, circle)
     order = rank_models(candidates, DEFAULT_MODEL)
     failure: CamcalError | None = None
     taken: Selection | None = None
@@ -99,25 +103,48 @@ def select(
     for own in order:
         if taken is not None and (own.failures or len(refused) >= _TRIES):
             break
+        if failure is not None and own.calibration is None:
+            continue  # refused already when it was compared
         try:
-            start = own.fit if isinstance(own, FittedModel) else None
-            calibration = intrinsics.calibrate(views, board, replace(options, model=model_named(own.name)), start)
+            how = replace(options, model=model_named(own.name))
+            calibration = intrinsics.calibrate(views, board, how, _fit_of(own))
         except _FAILURES as error:
             failure = failure or error
+            refused[own.name] = tuple(message.code for message in error.failures) or ("not_converged",)
             continue
         named = tuple(each.without_fit() if isinstance(each, FittedModel) else each for each in candidates)
-        # a model that was refused is none to name, however brief calibrations with it are judged
-        left = [replace(each, failures=refused.get(each.name, each.failures)) for each in order]
-        found = Selection(calibration, assess(calibration, circle, left), named)
+        found = Selection(calibration, assess(calibration, circle, _without(refused, order)), named)
         if taken is None or found.assessment.trustworthy:
             taken = _with_reason(found, order[0].name, failure if taken is None else None)
         if found.assessment.trustworthy:
             return taken
         refused[own.name] = tuple(message.code for message in found.assessment.failures)
+        if not _OF_THE_LENS.intersection(refused[own.name]):
+            break
     if taken is None:
-        raise failure or NotConverged("no lens model converged")
-    left = [replace(own, failures=refused.get(own.name, own.failures)) for own in order]
-    return replace(taken, assessment=assess(taken.calibration, circle, left))
+        failure = failure or NotConverged("no lens model converged")
+        raise _with_remedy(failure, order[0].name, _without(refused, order)) from failure
+    return replace(taken, assessment=assess(taken.calibration, circle, _without(refused, order)))
+
+
+def _compare_if_it_helps(
+    views: Sequence[BoardDetection], board: Board, options: intrinsics.Options, circle: ImageCircle | None
+) -> tuple[CandidateModel, ...]:
+    """Return what `compared` does, or the first of the candidates where views are refused for what no lens remedies."""
+    found: tuple[CandidateModel, ...] = ()
+    for name in (WIDE_MODEL, DEFAULT_MODEL):
+        found += compare_models(views, board, options, [model_named(name)])
+        own = found[-1]
+        if own.failures and own.calibration is None and not _OF_THE_LENS.intersection(own.failures):
+            return found
+        if own.calibration is not None:
+            break
+    return compared(views, board, options, circle, _fit_of(own), found)
+
+
+def _without(refused: Mapping[str, tuple[str, ...]], order: Sequence[CandidateModel]) -> list[CandidateModel]:
+    """Return the candidates with why some were refused in full: none to name, however brief ones are judged."""
+    return [replace(own, failures=refused.get(own.name, own.failures)) for own in order]
 
 
 def solve_given(
@@ -129,22 +156,33 @@ def solve_given(
     """
     free = replace(options, fixed=(), guess=None)
     [own] = compare_models(views, board, options, [options.model])
-    start = own.fit if isinstance(own, FittedModel) else None
+    start = _fit_of(own)
+    # what is held is known better than other models know it
+    beside: list[CandidateModel] = [] if options.fixed else [own]
+
+    @cache
+    def rank_all() -> list[CandidateModel]:
+        every = compared(views, board, free, circle, start, beside)
+        return rank_models([each for each in every if beside or each.name != own.name], DEFAULT_MODEL)
+
+    if own.calibration is None and _OF_THE_LENS.intersection(own.failures):
+        error = InsufficientData(str(own.reason), failures=[Message(code, "", {}) for code in own.failures])
+        if passing_model(own.name, others := rank_all()):
+            raise _with_remedy(error, own.name, others)
     try:
         calibration = intrinsics.calibrate(views, board, options, start)
     except (InsufficientData, NotConverged) as error:
-        others = compared(views, board, free, circle, start) if _is_of_the_lens(error) else ()
-        raise _with_remedy(error, options.model.name, rank_models(others, DEFAULT_MODEL)) from error
-    beside: Sequence[CandidateModel] = ()
-    if not options.fixed:  # what is held is known better than other models know it
+        raise _with_remedy(error, own.name, rank_all() if _is_of_the_lens(error) else ()) from error
+    if not options.fixed:
         usual = [model_named(name) for name in (DEFAULT_MODEL, WIDE_MODEL) if name != own.name]
-        known = judge(compare_models(views, board, free, usual, start), circle)
-        beside = rank_models((own, *known), DEFAULT_MODEL)
+        beside = rank_models([own, *judge(compare_models(views, board, free, usual, start), circle)], DEFAULT_MODEL)
     found = Selection(calibration, assess(calibration, circle, beside))
-    if found.assessment.trustworthy:
-        return found
-    every = rank_models(compared(views, board, free, circle, start, beside), DEFAULT_MODEL)
-    return replace(found, assessment=assess(calibration, circle, every))
+    return found if found.assessment.trustworthy else replace(found, assessment=assess(calibration, circle, rank_all()))
+
+
+def _fit_of(own: CandidateModel) -> CalibrationFit | None:
+    """Return the brief fit of a candidate to go on from, None without one."""
+    return own.fit if isinstance(own, FittedModel) else None
 
 
 def compared(
@@ -196,7 +234,9 @@ def _with_reason(selection: Selection, first: str, failure: CamcalError | None) 
     scores = {own.name: own for own in selection.candidates}
     if name == DEFAULT_MODEL:
         return selection
-    default, taken = scores[DEFAULT_MODEL], scores[name]
+    default, taken = scores.get(DEFAULT_MODEL), scores[name]
+    if default is None:
+        return selection
     if default.scores is None:
         return replace(selection, warnings=(_failed(name, DEFAULT_MODEL, str(default.reason)),))
     words = f"lens model {name}: prediction error of left-out views {taken.sigma_px:.2g} px, {DEFAULT_MODEL} "
