@@ -40,6 +40,7 @@ _EXPLAINED = {
     "several_cameras": (*_OF_VIEWS, "lens_model", "residual_pattern", "known_region"),
     "several_cameras_by_name": (*_OF_VIEWS, "lens_model", "residual_pattern", "known_region"),
     **dict.fromkeys(("not_invertible", "lens_model"), ("known_region",)),
+    "focal_change": ("known_region", "rolling_shutter", "board_bends", "motion_blur"),
     "known_region": ("tilt",),
     "board_scale": ("board_size",),
 }
@@ -92,6 +93,8 @@ def assess(
         uncertainty = with_bias(uncertainty, bias)
     region = known_region(uncertainty, KNOWN_PX / _few_views_factor(len(calibration.used)))
     others = other_models(camera.model.name, candidates)
+    # where the map states too much, a change of the focal length may be the cause, and is not measured by it
+    allowed_px = stated_px if region.of_observed >= _limit("known_region") else 0.0
     parts = (
         partial(_fold, circle=circle, others=others),
         _cameras,
@@ -101,7 +104,7 @@ def assess(
         partial(_coverage, circle=circle),
         _noise,
         _within_views,
-        partial(between_views, stated_px=stated_px),
+        partial(between_views, stated_px=allowed_px),
         _plausible,
         _board,
         partial(_region, region=region, others=others),

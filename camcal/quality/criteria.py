@@ -97,7 +97,7 @@ _ALL = (
         3.6,
         "standard deviations",
         "significance of a step or drift of the focal length between views, where half of it moves corners by more "
-        "than 3 standard deviations of the projection uncertainty and 0.3 px (RMS)",
+        "than 3 standard deviations of the projection uncertainty, unless known_region fails, and 0.3 px (RMS)",
         _SETS,
     ),
     Criterion(
@@ -220,7 +220,7 @@ def beats(one: CandidateModel, other: CandidateModel, margins: Sequence[tuple[fl
 
 def between_views(calibration: Calibration, stated_px: float) -> Iterator[Message]:
     """Yield what differs between views and ought to be the same, and whether the views are nearly parallel; stated_px:
-    RMS standard deviation of projections where corners were seen.
+    RMS standard deviation of projections where corners were seen, 0 where it is too large to excuse anything.
     """
     ratio = calibration.between_views.proportions
     for clear, focal in _focal_length(calibration, stated_px):

@@ -631,6 +631,22 @@ def test_a_failure_that_explains_others_silences_them(good):
     assert set(by_code(folding(reaching(known_within(good, 0.3), 800), 700))) == {"not_invertible"}
 
 
+@pytest.mark.parametrize(
+    ("px", "codes"),
+    [
+        (0.15, {"known_region", "rolling_shutter"}),
+        (0.29, {"known_region", "rolling_shutter"}),
+        (0.31, {"focal_change"}),
+        (0.6, {"focal_change"}),
+    ],
+)
+def test_a_focal_length_that_changes_is_why_too_little_is_known(good, px, codes):
+    little = replace(known_within(good, 0.3), within_views=WithinViews(1.0, rolling_px=(1.0, 9.0)))
+    assert set(by_code(moving_corners(little, px))) == codes
+    known = replace(known_within(good, 0.7), within_views=little.within_views)
+    assert not {"focal_change", "known_region"} & set(by_code(moving_corners(known, px)))
+
+
 @pytest.mark.parametrize(("tilt", "remedy"), [(15, "add views tilted by"), (30, "the board all over the image")])
 def test_tilts_are_asked_for_where_there_are_none(good, tilt, remedy):
     assert remedy in by_code(known_within(tilted(good, tilt), 0.3))["known_region"].text
