@@ -13,7 +13,7 @@ import numpy as np
 from camcal.calibrate.between_views import BetweenViews, Change
 from camcal.calibrate.intrinsics import Calibration, CandidateModel
 from camcal.calibrate.refusals import tilt_spread
-from camcal.calibrate.view_records import names_of
+from camcal.calibrate.view_records import names_of, shown_name
 from camcal.messages import Message, Value
 
 _SETS = "24 real sets, halves of them, and simulations"
@@ -282,7 +282,7 @@ def _step_words(found: BetweenViews, step: Change) -> str:
 
 
 def _drift_words(drift: Change) -> str:
-    where = f" from {drift.images[0]} to {drift.images[-1]}" if drift.images else ""
+    where = f" from {shown_name(drift.images[0])} to {shown_name(drift.images[-1])}" if drift.images else ""
     return (
         f"drifts by {100 * drift.share:+.2g} %{where}: lock focus and zoom, let the camera warm up, and take all "
         "images again"
@@ -331,7 +331,7 @@ def _tilts(calibration: Calibration) -> Iterator[Message]:
 
 def _near(after: Sequence[str]) -> str:
     """Return where a change is, in words: one view more or less is often as likely; after: the images from it on."""
-    return f"near {after[0]}" if after else ""
+    return f"near {shown_name(after[0])}" if after else ""
 
 
 def _by_themselves(images: Sequence[str], after: Sequence[str]) -> str:
