@@ -6,7 +6,7 @@ depend on it.
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -19,7 +19,8 @@ from camcal.calibrate.view_records import names_of
 from camcal.cameras.directions import lens_difference
 from camcal.cameras.validity import ImageCircle, folds_inside
 from camcal.messages import Message, counted
-from camcal.quality.criteria import CRITERIA, KNOWN_PX, MUCH, beats, between_views, largest_tilt_deg, message
+from camcal.quality.criteria import CRITERIA, KNOWN_PX, between_views, largest_tilt_deg, message
+from camcal.quality.lens_choice import better_model, other_models
 from camcal.quality.projection_uncertainty import (
     KnownRegion,
     ProjectionUncertainty,
@@ -44,6 +45,7 @@ _EXPLAINED = {
     "known_region": ("tilt",),
     "board_scale": ("board_size",),
 }
+_NO_RAY = 0.01  # of the image diagonal: standard deviation that a pixel counts with for which the lens has no ray
 _EXACT_PX = 1e-6  # what a projection is known to at best, where all parameters are held
 _MOSTLY = 0.5  # of a view's corners
 _TILTED_DEG = 20.0  # of the board in some view: beyond it, more tilt is not what is missing
@@ -120,35 +122,24 @@ def assess(
     )
 
 
+def judge(candidates: Sequence[CandidateModel], circle: ImageCircle | None = None) -> tuple[CandidateModel, ...]:
+    """Return the candidates with what the verdict would be on their brief calibrations; circle: the image circle."""
+    return tuple(own if own.scores is None else _judge_one(own, circle) for own in candidates)
+
+
+def _judge_one(own: CandidateModel, circle: ImageCircle | None) -> CandidateModel:
+    if own.calibration is None:
+        return own
+    assessment, size = assess(own.calibration, circle), own.calibration.camera.image_size
+    found = assessment.uncertainty
+    lit = found.std_rms if circle is None else found.std_rms[circle.contains(found.pixels)]
+    std = np.where(np.isfinite(lit), lit, _NO_RAY * float(np.hypot(*size)))
+    failures = tuple(message.code for message in assessment.failures)
+    return replace(own, map_px=float(np.sqrt(np.mean(std**2))), failures=failures)
+
+
 def _limit(code: str) -> float:
     return CRITERIA[code].limit
-
-
-def passing_model(used: str, candidates: Sequence[CandidateModel]) -> str | None:
-    """Return the first lens model other than the one in use that passes, None if there is none."""
-    return next(
-        (own.name for own in candidates if own.name != used and own.scores is not None and not own.failures), None
-    )
-
-
-def better_model(used: str, candidates: Sequence[CandidateModel]) -> CandidateModel | None:
-    """Return the first candidate that passes and predicts much better than the lens model in use, None if there is none
-    or that is none of them.
-    """
-    own = next((each for each in candidates if each.name == used and each.scores is not None), None)
-    passing = [each for each in candidates if each.calibration is not None and not each.failures]
-    return next((each for each in passing if own is not None and beats(each, own, MUCH)), None)
-
-
-def other_models(used: str, candidates: Sequence[CandidateModel]) -> str:
-    """Return what to do about the lens model: one that passes, or that none of those that were tried does, or "" where
-    none was tried.
-    """
-    passing = passing_model(used, candidates)
-    if passing is not None:
-        return f"use --model {passing}, which passes all checks in a brief calibration"
-    names = ", ".join(own.name for own in candidates if own.name != used and own.scores is not None)
-    return f"none of {names} passes all checks either: add views with the board all over the image" if names else ""
 
 
 def _fold(calibration: Calibration, circle: ImageCircle | None, others: str) -> Iterator[Message]:

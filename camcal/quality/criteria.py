@@ -11,20 +11,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from camcal.calibrate.between_views import BetweenViews, Change
-from camcal.calibrate.intrinsics import Calibration, CandidateModel
+from camcal.calibrate.intrinsics import Calibration
 from camcal.calibrate.refusals import tilt_spread
 from camcal.calibrate.view_records import names_of, shown_name
 from camcal.messages import Message, Value
+from camcal.quality.lens_choice import GAIN
 
 _SETS = "24 real sets, halves of them, and simulations"
 _RULE = "usual practice"
 # Standard deviations of the map, and px: a change of the focal length that moves corners by less, RMS, is what these
 # state, or does not matter.
 _STATED, _LEAST_MOVED_PX = 3.0, 0.3
-# By how much a lens model must predict left-out views better than another to be much better: nats a corner (0.1 is 5 %
-# of the prediction error), and standard errors of the difference between views; less if that is clearer.
-GAIN = 0.10
-MUCH = ((GAIN, 1.5), (0.02, 2.5))
 
 
 @dataclass(frozen=True)
@@ -207,15 +204,6 @@ def message(code: str, text: str, value: float, images: Sequence[str] = ()) -> M
     criterion = CRITERIA[code]
     values: dict[str, Value] = {"value": float(value), "limit": float(criterion.limit), "unit": criterion.unit}
     return Message(code, text, values | ({"images": tuple(images)} if images else {}))
-
-
-def beats(one: CandidateModel, other: CandidateModel, margins: Sequence[tuple[float, float]]) -> bool:
-    """Return whether a model predicts better than another by any of the margins: nats a corner, standard errors."""
-    if one.scores is None or other.scores is None:
-        return one.scores is not None
-    gains = one.scores - other.scores
-    error = float(np.std(gains, ddof=1)) * np.sqrt(len(gains)) if len(gains) > 1 else np.inf
-    return any(gains.sum() > max(least * one.corners, errors * error) for least, errors in margins)
 
 
 def between_views(calibration: Calibration, stated_px: float) -> Iterator[Message]:

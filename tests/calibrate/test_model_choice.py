@@ -24,8 +24,7 @@ from camcal.cameras.observations import Observations
 from camcal.cameras.validity import field_of_view, folds_inside
 from camcal.errors import InsufficientData, InvalidInput, NotConverged
 from camcal.geometry import rotation as so3
-from camcal.quality.criteria import GAIN
-from camcal.quality.lens_choice import chosen, rank_models
+from camcal.quality.lens_choice import GAIN, chosen, rank_models
 from camcal.simulate import render
 from camcal.solve.descent import Stopping
 from camcal.solve.least_squares import minimise

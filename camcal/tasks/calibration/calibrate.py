@@ -22,7 +22,8 @@ from camcal.formats.camera_file import (
 from camcal.messages import Message
 from camcal.options import command_line
 from camcal.progress import SILENT, Progress, warn_of
-from camcal.quality.lens_choice import judge, rank_models
+from camcal.quality.assess import judge
+from camcal.quality.lens_choice import rank_models
 from camcal.quality.projection_uncertainty import ProjectionUncertainty, too_uncertain
 from camcal.raw.reading import COLOURS
 from camcal.report.calibration import as_data, candidates_data, uncertainty_data

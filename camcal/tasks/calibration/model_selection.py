@@ -11,9 +11,8 @@ from camcal.cameras.catalogue import DEFAULT_MODEL, WIDE_MODEL, model_named
 from camcal.cameras.validity import ImageCircle
 from camcal.errors import CamcalError, InsufficientData, InvalidInput, NotConverged
 from camcal.messages import Message
-from camcal.quality.assess import Assessment, assess, other_models, passing_model
-from camcal.quality.criteria import GAIN
-from camcal.quality.lens_choice import judge, rank_models
+from camcal.quality.assess import Assessment, assess, judge
+from camcal.quality.lens_choice import GAIN, other_models, passing_model, rank_models
 from camcal.targets.board import Board
 from camcal.targets.detection import BoardDetection
 
