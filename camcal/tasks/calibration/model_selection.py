@@ -173,10 +173,22 @@ def solve_given(
     except (InsufficientData, NotConverged) as error:
         raise _with_remedy(error, own.name, rank_all() if _is_of_the_lens(error) else ()) from error
     if not options.fixed:
-        usual = [model_named(name) for name in (DEFAULT_MODEL, WIDE_MODEL) if name != own.name]
-        beside = rank_models([own, *judge(compare_models(views, board, free, usual, start), circle)], DEFAULT_MODEL)
+        beside = rank_beside(own, views, board, free, circle)
     found = Selection(calibration, assess(calibration, circle, beside))
     return found if found.assessment.trustworthy else replace(found, assessment=assess(calibration, circle, rank_all()))
+
+
+def rank_beside(
+    own: CandidateModel,
+    views: Sequence[BoardDetection],
+    board: Board,
+    options: intrinsics.Options,
+    circle: ImageCircle | None = None,
+) -> list[CandidateModel]:
+    """Return a candidate and the usual models, which it is compared with, in their order."""
+    usual = [model_named(name) for name in (DEFAULT_MODEL, WIDE_MODEL) if name != own.name]
+    others = compare_models(views, board, options, usual, _fit_of(own))
+    return rank_models([own, *judge(others, circle)], DEFAULT_MODEL)
 
 
 def _fit_of(own: CandidateModel) -> CalibrationFit | None:
