@@ -97,17 +97,11 @@ def misfit(problem: BoardProblem, state: State, residuals: Array, most: float = 
         smooth = smoothness(problem, state, present.astype(float))
         centre = state.parameters[[problem.model.parameter_names.index(name) for name in ("cx", "cy")]]
         radii = np.hypot(*(problem.observations.pixels[:, present].T - centre).T)
-        outwards = _probability_above(radii[found.gross[present]], radii[~found.gross[present]])
+        wrong, right = radii[found.gross[present]], np.sort(radii[~found.gross[present]])
+        # Mann and Whitney, On a test of whether one of two random variables is stochastically larger, 1947
+        outwards = float(np.searchsorted(right, wrong).mean() / len(right)) if len(wrong) and len(right) else np.nan
         return replace(found, roughness=roughness(problem), smoothness=smooth, outwards=outwards)
     return found
-
-
-def _probability_above(some: Array, others: Array) -> float:
-    """Return the probability that one of some values is above one of others, NaN without either: Mann and
-    Whitney, On a test of whether one of two random variables is stochastically larger, 1947.
-    """
-    below = np.searchsorted(np.sort(others), some)
-    return float(below.mean() / len(others)) if len(some) and len(others) else np.nan
 
 
 def roughness(problem: BoardProblem) -> float:
