@@ -161,7 +161,8 @@ def solve_given(
 
     @cache
     def rank_all() -> list[CandidateModel]:
-        every = compared(views, board, free, circle, start, beside)
+        wide = next((_fit_of(each) for each in beside if each.name == WIDE_MODEL), None)
+        every = compared(views, board, free, circle, wide, beside)
         return rank_models([each for each in every if beside or each.name != own.name], DEFAULT_MODEL)
 
     if own.calibration is None and _OF_THE_LENS.intersection(own.failures):
