@@ -48,6 +48,14 @@ def test_damaged_files_end_in_one_line_and_a_documented_exit():
 
 @pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="memory is limited as Linux does")
+def test_absurd_numbers_in_texts_are_refused_with_their_line_or_do_no_harm():
+    done = subprocess.run([sys.executable, HARNESS, "--numbers", "71"], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert ", 0 violations" in done.stdout
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="memory is limited as Linux does")
 def test_a_disk_that_takes_no_more_is_told_by_every_command_and_nothing_is_half_written():
     done = subprocess.run([sys.executable, HARNESS, "--full-disk"], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
