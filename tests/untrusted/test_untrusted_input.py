@@ -13,7 +13,7 @@ import untrusted_seeds
 from untrusted_readers import READERS
 
 HARNESS = Path(__file__).parents[2] / "benchmarks" / "fuzz.py"
-CASES = 205  # every reader once
+CASES = 206  # every reader once
 QUICK = ("inspect", "optics", "transform check", "transform eval", "transform invert", "transform chain")
 
 

@@ -203,7 +203,8 @@ def _uncertainty(entry: CameraEntry) -> Iterator[Plot]:
         found = projection_uncertainty(entry.camera, circle=entry.image_circle)
     except InvalidInput:  # no covariance is known
         return
-    yield uncertainty_plot(found, entry.camera.image_size, entry.image_circle)
+    if found.figures():  # else no pixel is in the domain of the lens
+        yield uncertainty_plot(found, entry.camera.image_size, entry.image_circle)
 
 
 def _rig_sections(inspection: Inspection) -> Iterator[Section]:
