@@ -313,7 +313,7 @@ BAD = {
     KALIBR.replace("pinhole", "ds"): "'ds' is not among camcal's lens models",
     KALIBR.replace("radtan", "fov"): "'fov' is not one of none, radtan, equidistant",
     KALIBR.replace("461, ", ""): "3 numbers; 4 are needed",
-    KALIBR.replace("[752,", "[1e+30,"): "1e+30 x 480 is not a width and height in pixels",
+    KALIBR.replace("[752,", "[1e+7,"): "1e+07 x 480 is not a width and height in pixels",
     KALIBR.replace("461, ", "1e-30, "): "is outside [0.001, 1e+10]",
     f"{BOTH}{LENS.replace('500.5', '1e300', 1)}": "1e+300 is outside [-1e+12, 1e+12]",
     KALIBR + "  T_cam_imu: [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 0]]\n": "its last row is",

@@ -227,6 +227,12 @@ def thinned(stream: VertexStream, voxel: float | None = None, max_points: int | 
 _LARGEST_KEY = 2**62
 
 
+def require_side(size: float) -> None:
+    """Raise InvalidInput for the side of a voxel that is none."""
+    if not (np.isfinite(size) and size > 0):
+        raise InvalidInput(f"the side of a voxel must be positive, found {size:g}")
+
+
 def one_per_voxel(vertices: Array, size: float) -> Array:
     """Return one vertex for each cube of a grid that holds any, in the order of the cubes.
 
@@ -235,8 +241,7 @@ def one_per_voxel(vertices: Array, size: float) -> Array:
     have wrong is much the same, so that a mean of many is hardly better than one.
     Raises InvalidInput unless the side is positive and the cubes can be counted.
     """
-    if not (np.isfinite(size) and size > 0):
-        raise InvalidInput(f"the side of a voxel must be positive, found {size:g}")
+    require_side(size)
     _, cube, count = np.unique(_keys(vertices, size), return_inverse=True, return_counts=True)
     merged = np.empty(len(count), vertices.dtype)
     for name in vertices.dtype.names or ():
