@@ -205,6 +205,7 @@ def test_what_makes_no_run_is_said_in_one_line(run, tmp_path, arguments, message
     ("option", "value", "message"),
     [
         ("--voxel", "0", "the side of a voxel must be positive, found 0"),
+        ("--max-points", "0", "at least one point is needed, found 0"),
         ("--crop", "1,2", "--crop needs six numbers"),
         ("--frame", "north", "frame 'north' is unknown"),
     ],

@@ -250,9 +250,13 @@ def violations_of_full_disk(ended: Ended) -> list[str]:
 
 
 def violations_of_number(case: Case, ended: Ended) -> list[str]:
-    """Return what a command did wrong with an absurd number: a usage error names the file, and nothing takes long."""
+    """Return what a command did wrong with an absurd number: a usage error names the file, and nothing takes long.
+
+    Of a settings file it may name the value alone, as of one on the command line.
+    """
     found = violations(ended)
-    if ended.code == 2 and f"{case.reader.file}:" not in ended.err:
+    settings = "--config FILE" in case.reader.command
+    if ended.code == 2 and f"{case.reader.file}:" not in ended.err and not settings:
         found.append(f"no place in {ended.err.strip()[-160:]!r}")
     if ended.seconds > LONGEST_S:
         found.append(f"{ended.seconds:.1f} s")

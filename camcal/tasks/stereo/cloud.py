@@ -22,7 +22,7 @@ from camcal.run.paths import IMAGE_SUFFIXES, find_pairs, split_address
 from camcal.run.process import over_threads
 from camcal.stereo.disparity import Confidence
 from camcal.stereo.geometry import StereoGeometry
-from camcal.stereo.points.cloud import CloudMaker, require_side, thinned
+from camcal.stereo.points.cloud import CloudMaker, require_thinning, thinned
 from camcal.stereo.points.depth import StereoImage
 from camcal.stereo.points.frames import CAMERA, OPTICAL, UNITS, Frame, VertexStream, frame_named
 from camcal.stereo.points.selection import RADIUS, Selected, Selection, depth_figures, select
@@ -92,8 +92,7 @@ def require_points(points: PointOptions, vertices: VertexOptions) -> None:
     """Raise InvalidInput for options that no cloud is made with, before a pair is matched for one."""
     _selection(replace(points, mask=None))
     _frame(vertices, np.eye(3), SILENT)
-    if points.voxel is not None:
-        require_side(points.voxel)
+    require_thinning(points.voxel, points.max_points)
 
 
 def write_points(options: CloudOptions, source: PointSource, progress: Progress = SILENT) -> CloudReport:
