@@ -202,6 +202,7 @@ class PoseFrames(FrameCosts):
     # Near the frontal view a normal density is not the likelihood, and neighbouring frames have the same error of it:
     # so many frames count as one (docs/mathematics.md).
     overstated: ClassVar[float] = 8.0
+    overstated_ahead: ClassVar[float] = 4.0
 
     @classmethod
     def of(cls, measurements: PoseMeasurements, unknown: Array, gate: float) -> "PoseFrames":
