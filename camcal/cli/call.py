@@ -114,14 +114,14 @@ class ImageCall(Call):
         set_max_pixels(round(self.max_pixels * 1e6))
 
 
-@dataclass(frozen=True)
 class _Texts:
     """What typer reads the values of a parameter with: texts as they were typed, which options read themselves.
 
     usual: typer's own reader, of all other values. It loads pydantic, which takes longer than many commands.
     """
 
-    usual: Callable[[], Any]
+    def __init__(self, usual: Callable[[], Any]) -> None:
+        self.usual = usual
 
     def __call__(self) -> "_Texts":
         return self
