@@ -123,3 +123,43 @@ class ImageCall(Call):
         if not 0 < self.max_pixels <= _MOST_PIXELS:
             raise InvalidInput(f"--max-pixels {self.max_pixels:g}: more than 0 and at most {_MOST_PIXELS:g} million")
         set_max_pixels(round(self.max_pixels * 1e6))
+
+
+class _Texts:
+    """What typer reads the values of a parameter with: texts as they were typed, which options read themselves.
+
+    usual: typer's own reader, of all other values. It loads pydantic, which takes longer than many commands.
+    """
+
+    def __init__(self, usual: Callable[[], Any]) -> None:
+        self.usual = usual
+
+    def __call__(self) -> "_Texts":
+        return self
+
+    def coerce(self, value: Any, param: Any, ctx: Any) -> Any:
+        """Return a value as the type that the parameter has."""
+        kind = param.type_descriptor.annotation
+        if value is None and kind in (str, bool, Path):
+            return None
+        if isinstance(value, str) and kind in (str, Path):
+            return kind(value)
+        if kind == list[str] and isinstance(value, (list, tuple)) and all(isinstance(each, str) for each in value):
+            return list(value)
+        return self.usual().coerce(value, param=param, ctx=ctx)
+
+
+class TextParameters:
+    """A command or group of typer's whose parameters keep the texts of a command line as they are."""
+
+    def get_params(self, ctx: Any) -> list[Any]:
+        """Return all parameters, --help among them."""
+        parameters: list[Any] = super().get_params(ctx)  # type: ignore[misc]
+        for parameter in parameters:
+            if not isinstance(parameter.get_runtime_param, _Texts):
+                parameter.get_runtime_param = _Texts(parameter.get_runtime_param)
+        return parameters
+
+    def get_help_option_names(self, ctx: Any) -> list[str]:
+        """Return the names of --help in the order of all other options; typer gives them in none."""
+        return sorted(super().get_help_option_names(ctx), key=len)  # type: ignore[misc]
