@@ -41,7 +41,7 @@ class Fault:
 
 
 def thresholds(path: Path = THRESHOLDS, package: Path = PROJECT / "camcal") -> list[Fault]:
-    """Return the constants of a list, each at half and at twice its value; ends where one is no number of its module."""
+    """Return the constants of a list at half and at twice their values; ends where one is no number of its module."""
     found = []
     for module, own in tomllib.loads(path.read_text(encoding="utf-8")).items():
         text = (package / module).read_text(encoding="utf-8")

@@ -21,8 +21,8 @@ PROJECT = Path(__file__).parents[1]
 for _name in BLAS_THREADS:
     os.environ.setdefault(_name, "1")
 
-# Each of the processes that share the tests keeps to a core of its own: a command then starts no worker processes unless
-# it is told how many, and what it starts does not take the cores of the others.
+# Each of the processes that share the tests keeps to a core of its own: a command then starts no worker processes
+# unless it is told how many, and what it starts does not take the cores of the others.
 if (_worker := os.environ.get("PYTEST_XDIST_WORKER", "")).startswith("gw") and hasattr(os, "sched_setaffinity"):
     _cores = sorted(os.sched_getaffinity(0))
     os.sched_setaffinity(0, {_cores[int(_worker[2:]) % len(_cores)]})

@@ -56,7 +56,8 @@ def test_the_samples_themselves_come_back(algorithm, pattern):
     for dtype, linear in product(PEAK, [False, True]):
         mosaic = random_mosaic((19, 22), dtype)
         result = sampled(demosaic(mosaic, pattern, algorithm, linear=linear), pattern)
-        np.testing.assert_allclose(result, mosaic, rtol=0, atol=rounding(algorithm, dtype), err_msg=str((dtype, linear)))
+        atol = rounding(algorithm, dtype)
+        np.testing.assert_allclose(result, mosaic, rtol=0, atol=atol, err_msg=str((dtype, linear)))
 
 
 @given(
