@@ -4,11 +4,11 @@ Every set is a few commands in an empty folder; what they write is read again: e
 path, and each column of a point cloud. Numbers in lists count together: how many they are, and the root of the sum of
 their squares. A line is a set, a path, a count and that root, or the number itself where it is one.
 
-With --against FILE the same figures of an earlier run are compared: the lines that one of both lacks, every set with
-its largest relative difference, and the largest of all; the exit is 1 where it is beyond --limit. Another machine or
-other libraries round differently, which selections among nearly equal points make larger.
+The figures are compared with those that golden_outputs.txt keeps, which --write writes: every set with its largest
+relative difference; the exit is 1 where one is beyond --limit, or another figure or number of them is there. Another
+machine or other libraries round differently, which a selection among nearly equal points makes larger.
 
-    CAMCAL_TEST_DATA=FOLDER python benchmarks/golden_outputs.py [--sets NAME …] [--against FILE]
+    CAMCAL_TEST_DATA=FOLDER python benchmarks/golden_outputs.py [--sets NAME …] [--write]
 """
 
 import argparse
@@ -32,6 +32,7 @@ from camcal.cli.main import app
 from camcal.formats import pointclouds
 
 DATA = Path(os.environ.get("CAMCAL_TEST_DATA", "../shared/data")).resolve()
+KEPT = Path(__file__).with_suffix(".txt")
 LIMIT = 1e-9
 OMITTED = ("provenance", "camcal", "schema", "version")  # of files: what names the program and not what it found
 SHEET = "chessboard:6x4:30mm"
@@ -83,7 +84,7 @@ SETS: dict[str, Set] = {
         (f"track {LENS} {VIDEO}/movie.mjpeg --board {SHEET} --fps 30 -o track.json",),
         "track.json",
     ),
-    "smooth path": ((f"smooth {PATH} --format tum -o path.yaml",), "path.yaml"),
+    "smooth path": ((f"smooth {PATH} -o path.json",), "path.json"),
     "cloud of flat sheets": cloud("middlebury2001-venus", OLD_PAIR, OLD_CAMERA),
     "cloud of cones": cloud("middlebury2003-cones", OLD_PAIR, OLD_CAMERA),
     "cloud of a bear": cloud("middlebury2003-teddy", OLD_PAIR, OLD_CAMERA),
@@ -121,60 +122,59 @@ def figures_of(path: Path) -> dict[str, tuple[int, float]]:
     }
 
 
-def run(commands: tuple[str, ...]) -> None:
-    """Run commands in this folder; one that fails ends the program."""
-    for command in commands:
-        try:
-            app([*command.split(), "--quiet"])
-        except SystemExit as leaving:
-            if leaving.code:
-                raise
-
-
 def lines_of(name: str) -> list[str]:
-    """Return the figures of a set, one a line."""
+    """Return the figures of a set, one a line; a command that fails ends the program."""
     commands, output = SETS[name]
     with tempfile.TemporaryDirectory() as folder, chdir(folder):
-        run(commands)
+        for command in commands:
+            try:
+                app([*command.split(), "--quiet"])
+            except SystemExit as leaving:
+                if leaving.code:
+                    raise
         figures = figures_of(Path(output))
     return [f"{name} | {path} | {count} | {value:.15g}" for path, (count, value) in figures.items()]
 
 
-def compare(lines: list[str], earlier: list[str]) -> float:
-    """Print what differs between the lines of one set now and before; return the largest relative difference."""
+def row(name: str, lines: list[str], earlier: list[str]) -> tuple[float, str]:
+    """Return the largest relative difference between the figures of a set and earlier ones, and the row that says it;
+    infinite where there are other figures, or another number of them.
+    """
     now, before = (
-        {line.rpartition(" | ")[0]: float(line.rpartition(" | ")[2]) for line in each} for each in (lines, earlier)
+        {line.rpartition(" | ")[0]: float(line.rpartition(" | ")[2]) for line in some if line.startswith(f"{name} | ")}
+        for some in (lines, earlier)
     )
     for line in sorted(now.keys() ^ before.keys()):
-        print(f"{'new' if line in now else 'gone'}: {line}")
+        print(f"{'new' if line in now else 'gone'}: {line}", file=sys.stderr)
     differences = {
         line: abs(now[line] - before[line]) / max(abs(now[line]), abs(before[line]), 1e-300)
         for line in now.keys() & before.keys()
     }
-    worst = max(differences, key=lambda line: differences[line])
-    print(f"{differences[worst]:.1e}  {worst}", flush=True)
-    return np.inf if now.keys() ^ before.keys() else differences[worst]
+    worst = max(differences, key=lambda line: differences[line], default="")
+    largest = np.inf if now.keys() != before.keys() else differences[worst]
+    return largest, f"| {name} | {len(now)} | {largest:.1e} | {worst.split(' | ')[1] if largest else ''} |"
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--sets", nargs="+", choices=SETS, default=list(SETS), metavar="NAME")
-    parser.add_argument("--against", type=Path, help="what this program printed before")
+    parser.add_argument("--write", action="store_true", help="keep the figures instead, of these sets")
     parser.add_argument("--limit", type=float, default=LIMIT, help="relative difference that is none")
     arguments = parser.parse_args()
     cv2.setNumThreads(1)
-    print(f"OpenCV {cv2.__version__}, numpy {np.__version__}")
-    earlier = arguments.against.read_text(encoding="utf-8").splitlines() if arguments.against else []
+    earlier = KEPT.read_text(encoding="utf-8").splitlines() if KEPT.exists() else []
+    if arguments.write:
+        kept = {name: [line for line in earlier if line.startswith(f"{name} | ")] for name in SETS}
+        kept |= {name: lines_of(name) for name in arguments.sets}
+        KEPT.write_text("".join(f"{line}\n" for lines in kept.values() for line in lines), encoding="utf-8")
+        return
+    print("| set | figures | largest relative difference | of |\n|---|---|---|---|")
     worst = 0.0
     for name in arguments.sets:
-        lines = lines_of(name)
-        if arguments.against is None:
-            print("\n".join(lines), flush=True)
-        else:
-            worst = max(worst, compare(lines, [line for line in earlier if line.startswith(f"{name} | ")]))
-    if arguments.against is not None:
-        print(f"largest relative difference {worst:.1e}")
-        sys.exit(int(worst > arguments.limit))
+        largest, said = row(name, lines_of(name), earlier)
+        worst = max(worst, largest)
+        print(said, flush=True)
+    sys.exit(int(worst > arguments.limit))
 
 
 if __name__ == "__main__":
