@@ -23,27 +23,28 @@ _NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
 # Runs every command as a copy of itself, so that libraries are imported once for a page: it takes the arguments, the
 # environment, the folder and the three streams of a call from a socket, and gives back the exit code.
 _SERVER = """
-import importlib, json, os, signal, socket, sys
+import importlib, json, os, socket, sys
 from camcal.cli.main import main
 from camcal.run.process import BLAS_THREADS
 os.environ.update(dict.fromkeys(BLAS_THREADS, "1"))
 for module in ("calibration.calibrate", "calibration.undistort", "simulation.simulate", "rigs.calibrate_rig", "plot",
                "poses.track", "stereo.stereo_run", "reports.pages"):
     importlib.import_module(f"camcal.tasks.{module}")
-signal.signal(signal.SIGCHLD, signal.SIG_IGN)
 server = socket.socket(socket.AF_UNIX)
 server.bind(sys.argv[1])
 server.listen()
 print("ready", flush=True)
+running = []
 while True:
     call, _ = server.accept()
     text, streams, _, _ = socket.recv_fds(call, 1 << 20, 3)
-    if os.fork():
+    running = [child for child in running if os.waitpid(child, os.WNOHANG)[0] == 0]
+    if child := os.fork():
         call.close()
         for stream in streams:
             os.close(stream)
+        running.append(child)
         continue
-    signal.signal(signal.SIGCHLD, signal.SIG_DFL)
     for number, stream in enumerate(streams):
         os.dup2(stream, number)
         os.close(stream)
