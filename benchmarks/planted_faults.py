@@ -143,7 +143,9 @@ def main() -> None:
         for part in PARTS:
             copy = shutil.copytree if (PROJECT / part).is_dir() else shutil.copy
             copy(PROJECT / part, tree / part)
-        print("| package | fault | found by | s |\n|---|---|---|---|")
+        by_module: dict[str, list[str | None]] = {}
+        if not options.thresholds:
+            print("| package | fault | found by | s |\n|---|---|---|---|")
         for fault in chosen:
             start = time.monotonic()
             path, text = plant(fault, tree)
@@ -151,11 +153,18 @@ def main() -> None:
             by = found_by(tree, likely, "-p", "no:randomly", "-p", "no:xdist", "-o", "addopts=") if likely else None
             if by is None and not options.likely:
                 by = found_by(tree, ["tests"], "-n", "2")
-            survivors += by is None
-            seconds = time.monotonic() - start
-            print(f"| {fault.package} | {fault.name} | {by or '**survives**'} | {seconds:.0f} |", flush=True)
             write(path, text)
-    print(f"\n{len(chosen)} faults, {survivors} survive")
+            survivors += by is None
+            by_module.setdefault(fault.package, []).append(None if by else fault.name)
+            if not options.thresholds:
+                seconds = time.monotonic() - start
+                print(f"| {fault.package} | {fault.name} | {by or '**survives**'} | {seconds:.0f} |", flush=True)
+    if options.thresholds:
+        print("| module | constants | survive |\n|---|---|---|")
+        for module, alive in by_module.items():
+            print(f"| {module} | {len(alive) // 2} | {', '.join(filter(None, alive)) or 'none'} |")
+    else:
+        print(f"\n{len(chosen)} faults, {survivors} survive")
 
 
 if __name__ == "__main__":
