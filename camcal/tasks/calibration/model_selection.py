@@ -11,6 +11,7 @@ from camcal.cameras.catalogue import DEFAULT_MODEL, WIDE_MODEL, model_named
 from camcal.cameras.validity import ImageCircle
 from camcal.errors import CamcalError, InsufficientData, InvalidInput, NotConverged
 from camcal.messages import Message
+from camcal.progress import SILENT, Progress, stage
 from camcal.quality.assess import Assessment, assess, judge
 from camcal.quality.lens_choice import GAIN, other_models, passing_model, rank_models
 from camcal.targets.board import Board
@@ -49,12 +50,13 @@ def solve(
     circle: ImageCircle | None = None,
     *,
     choose: bool = True,
+    progress: Progress = SILENT,
 ) -> Selection:
     """Return the calibration by `select`, or by `solve_given` with the lens model of the options where that is not to
     be chosen. A bend of the board that is held flat is named as the cause where a calibration without that passes.
     """
     try:
-        found = (select if choose else solve_given)(views, board, options, circle)
+        found = (select if choose else solve_given)(views, board, options, circle, progress)
     except (InsufficientData, NotConverged) as error:
         if (bent := _bend(views, board, options, circle)) is None:
             raise
@@ -84,7 +86,11 @@ def _bend(
 
 
 def select(
-    views: Sequence[BoardDetection], board: Board, options: intrinsics.Options, circle: ImageCircle | None = None
+    views: Sequence[BoardDetection],
+    board: Board,
+    options: intrinsics.Options,
+    circle: ImageCircle | None = None,
+    progress: Progress = SILENT,
 ) -> Selection:
     """Return the calibration with the lens model that predicts views best and passes the verdict, DEFAULT_MODEL unless
     another one is clearly better; options.model does not matter. circle: the image circle, outside of which no lens
@@ -94,7 +100,8 @@ def select(
     pass either, the first is returned. Raises InsufficientData, InvalidInput or NotConverged where no model leads to a
     calibration.
     """
-    candidates = _compare_if_it_helps(views, board, options, circle)
+    with stage(progress, "choosing the lens model"):
+        candidates = _compare_if_it_helps(views, board, options, circle)
     order = rank_models(candidates, DEFAULT_MODEL)
     failure: CamcalError | None = None
     taken: Selection | None = None
@@ -106,13 +113,15 @@ def select(
             continue  # refused already when it was compared
         try:
             how = replace(options, model=model_named(own.name))
-            calibration = intrinsics.calibrate(views, board, how, _fit_of(own))
+            with stage(progress, "solving"):
+                calibration = intrinsics.calibrate(views, board, how, _fit_of(own))
         except _FAILURES as error:
             failure = failure or error
             refused[own.name] = tuple(message.code for message in error.failures) or ("not_converged",)
             continue
         named = tuple(each.without_fit() if isinstance(each, FittedModel) else each for each in candidates)
-        found = Selection(calibration, assess(calibration, circle, _without(refused, order)), named)
+        with stage(progress, "checking"):
+            found = Selection(calibration, assess(calibration, circle, _without(refused, order)), named)
         if taken is None or found.assessment.trustworthy:
             taken = _with_reason(found, order[0].name, failure if taken is None else None)
         if found.assessment.trustworthy:
@@ -147,7 +156,11 @@ def _without(refused: Mapping[str, tuple[str, ...]], order: Sequence[CandidateMo
 
 
 def solve_given(
-    views: Sequence[BoardDetection], board: Board, options: intrinsics.Options, circle: ImageCircle | None = None
+    views: Sequence[BoardDetection],
+    board: Board,
+    options: intrinsics.Options,
+    circle: ImageCircle | None = None,
+    progress: Progress = SILENT,
 ) -> Selection:
     """Return the calibration with the lens model of the options, assessed beside the usual models, which may predict
     better unless parameters are held; where it is not to be trusted, with what other models would lead to. Raises as
@@ -169,12 +182,14 @@ def solve_given(
         if passing_model(own.name, others := rank_all()):
             raise _with_remedy(error, own.name, others)
     try:
-        calibration = intrinsics.calibrate(views, board, options, start)
+        with stage(progress, "solving"):
+            calibration = intrinsics.calibrate(views, board, options, start)
     except (InsufficientData, NotConverged) as error:
         raise _with_remedy(error, own.name, rank_all() if _is_of_the_lens(error) else ()) from error
-    if not options.fixed:
-        beside = rank_beside(own, views, board, free, circle)
-    found = Selection(calibration, assess(calibration, circle, beside))
+    with stage(progress, "checking"):
+        if not options.fixed:
+            beside = rank_beside(own, views, board, free, circle)
+        found = Selection(calibration, assess(calibration, circle, beside))
     return found if found.assessment.trustworthy else replace(found, assessment=assess(calibration, circle, rank_all()))
 
 
@@ -215,6 +230,25 @@ def compared(
         if found[DEFAULT_MODEL].scores is not None:
             break
     return judge([found[name] for name in dict.fromkeys((*CANDIDATES, *found)) if name in found], circle)
+
+
+def brief_calibration(
+    views: Sequence[BoardDetection],
+    board: Board,
+    options: intrinsics.Options,
+    circle: ImageCircle | None = None,
+    *,
+    choose: bool = True,
+) -> Calibration | None:
+    """Return a brief calibration by which corners can be expected well enough to measure them, None where there is
+    none: with DEFAULT_MODEL, or with WIDE_MODEL where that does not pass, unless the lens model is not to be chosen.
+    """
+    found: list[CandidateModel] = []
+    for name in (DEFAULT_MODEL, WIDE_MODEL) if choose else (options.model.name,):
+        found += judge(compare_models(views, board, options, [model_named(name)]), circle)
+        if found[-1].calibration is not None and not found[-1].failures:
+            return found[-1].calibration
+    return rank_models(found, DEFAULT_MODEL)[0].calibration
 
 
 def _is_of_the_lens(error: CamcalError) -> bool:
