@@ -562,6 +562,21 @@ def test_views_that_no_lens_model_fits_are_calibrated_once_and_compared_with_no_
     assert (len(briefly), len(full)) == (1, 1)
 
 
+def test_views_that_two_lens_models_find_parallel_are_compared_with_no_third(monkeypatch):
+    scene, views = lens("opencv5", 6)
+    flat = [replace(view, pixels=views[0].pixels + 3.0 * index, ids=views[0].ids) for index, view in enumerate(views)]
+    names, compare = [], model_selection.compare_models
+
+    def compare_and_note(views, board, options, models, start=None):
+        names.extend(model.name for model in models)
+        return compare(views, board, options, models, start)
+
+    monkeypatch.setattr(model_selection, "compare_models", compare_and_note)
+    with pytest.raises(InsufficientData, match="nearly parallel views"):
+        select([replace(view, covariance=None) for view in flat], scene.board, OPTIONS)
+    assert names == ["kannala_brandt4", "opencv5"]
+
+
 def test_a_given_lens_model_that_another_one_beats_is_refused_without_a_whole_calibration(monkeypatch):
     scene, views = lens("kannala_brandt4", 10)
     monkeypatch.setattr(model_selection.intrinsics, "calibrate", lambda *_: pytest.fail("a whole calibration"))

@@ -21,9 +21,17 @@ from camcal.targets.detection import BoardDetection
 CANDIDATES = ("pinhole", "opencv4", "kannala_brandt4", "opencv5", "kannala_brandt5t", "opencv8")
 _CONTAINED = ("pinhole", "opencv4")  # DEFAULT_MODEL with coefficients at zero
 # Refusals and failures that another lens model may remedy; a lens that does not fit may have an infinite focal length.
+_OF_VIEWS = {
+    "no_tilted_views",
+    "undetermined_focal_length",
+}  # where two lens models, one of them for wide lenses, have it
 _OF_THE_LENS = {
-    *("lens_model_does_not_fit", "lens_model_or_blur", "no_tilted_views", "undetermined_focal_length"),
-    *("lens_model", "not_invertible", "known_region"),
+    *_OF_VIEWS,
+    "lens_model_does_not_fit",
+    "lens_model_or_blur",
+    "lens_model",
+    "not_invertible",
+    "known_region",
 }
 _TRIES = 2  # calibrations at most, where the first is not to be trusted
 _FAILURES = (InvalidInput, InsufficientData, NotConverged)
@@ -138,7 +146,9 @@ def select(
 def _compare_if_it_helps(
     views: Sequence[BoardDetection], board: Board, options: intrinsics.Options, circle: ImageCircle | None
 ) -> tuple[CandidateModel, ...]:
-    """Return what `compared` does, or the first of the candidates where views are refused for what no lens remedies."""
+    """Return what `compared` does, or the first of the candidates where views are refused for what no lens remedies, or
+    two of them for what a third one does not.
+    """
     found: tuple[CandidateModel, ...] = ()
     for name in (WIDE_MODEL, DEFAULT_MODEL):
         found += compare_models(views, board, options, [model_named(name)])
@@ -147,6 +157,8 @@ def _compare_if_it_helps(
             return found
         if own.calibration is not None:
             break
+    if all(_OF_VIEWS.intersection(each.failures) for each in found):
+        return found
     return compared(views, board, options, circle, _fit_of(own), found)
 
 
@@ -174,7 +186,8 @@ def solve_given(
 
     @cache
     def rank_all() -> list[CandidateModel]:
-        every = compared(views, board, free, circle, start, beside)
+        wide = next((_fit_of(each) for each in beside if each.name == WIDE_MODEL), None)
+        every = compared(views, board, free, circle, wide, beside)
         return rank_models([each for each in every if beside or each.name != own.name], DEFAULT_MODEL)
 
     if own.calibration is None and _OF_THE_LENS.intersection(own.failures):
