@@ -14,6 +14,7 @@ import tempfile
 import threading
 import time
 import traceback
+import warnings
 from collections.abc import Callable, Generator, Iterable
 from contextlib import suppress
 from contextvars import Context
@@ -150,7 +151,9 @@ class _Worker:
         if os.name == "posix" and not forked:  # starting it later would unblock Ctrl-C, which is blocked below
             resource_tracker.ensure_running()
         held = signals_held("SIGINT", *STOPPING) if forked else worker_environment(needs_main=_has_main(payload))
-        with held:
+        with held, warnings.catch_warnings():
+            # Python 3.12 warns of every thread, also of one that only waits for signals
+            warnings.simplefilter("ignore", DeprecationWarning)
             own = theirs, payload, dict(os.environ), urls.REMOTE.get(), system.KNOWN.get()
             self.process = context.Process(target=_serve_forked if forked else _serve, args=own, daemon=True)
             self.process.start()
