@@ -19,8 +19,6 @@ from collections.abc import Callable, Generator, Iterable
 from contextlib import suppress
 from contextvars import Context
 from dataclasses import dataclass
-from functools import partial
-from importlib import import_module
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import ForkServerContext, SpawnContext
@@ -130,7 +128,7 @@ def _context() -> ForkServerContext | SpawnContext:
     if not _FORKS or len(os.fsencode(get_temp_dir())) > _LONGEST_FOLDER:
         return multiprocessing.get_context("spawn")
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload([name for name in sys.modules if name.partition(".")[0] in {"camcal", "scipy"}])
+    context.set_forkserver_preload([name for name in sys.modules if name.partition(".")[0] == "camcal"])
     return context
 
 
@@ -199,7 +197,6 @@ class WorkerPool(Generic[Item, Value]):
 
     def outcomes(self) -> Generator[Outcome[Item, Value]]:
         """Yield the outcomes in the order of the items; the workers are gone when this ends, however it ends."""
-        _import_for(self.function)
         self.payload = Payload.of(self.function)
         try:
             for position in itertools.count():
@@ -301,16 +298,6 @@ def _stop(workers: list[_Worker]) -> None:
             worker.process.kill()
             worker.process.join()
         worker.process.close()
-
-
-def _import_for(function: Any) -> None:
-    """Import what the module of a function names in WORKERS_NEED, once and not in each worker: modules that it imports
-    only where it uses them.
-    """
-    while isinstance(function, partial):
-        function = function.func
-    for name in getattr(sys.modules.get(getattr(function, "__module__", "")), "WORKERS_NEED", ()):
-        import_module(name)
 
 
 def _has_main(payload: Payload) -> bool:

@@ -30,7 +30,6 @@ SAMPLE = 6  # images on which it is found out which board they show
 # Images, evenly spread, one of which must show the board before more are searched: what takes 10 s at 1280 x 800
 TRIED = {CHESSBOARD: 40, CHARUCO: 16, APRILGRID: 10, CIRCLES: 16, ASYMMETRIC_CIRCLES: 16}
 _TRYING = "trying patterns"
-WORKERS_NEED = ("scipy.spatial",)
 TIMEOUT_S = 600.0  # for one image; the slowest take some seconds
 Item = TypeVar("Item")
 Source = TypeVar("Source")
