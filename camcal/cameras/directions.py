@@ -12,9 +12,9 @@ from camcal.geometry import rotation as so3
 from camcal.opencv import convex_hull
 
 _FEWEST = 10  # pixels that a rotation is fitted to
-_TURNS = 4  # linear steps to the rotation between two lenses
 _FLAT = 1e-6  # px, the width of a hull that is a line
 _ROUNDING_PX = 1e-3  # of corners of a hull, in single precision
+_TURNS = 4  # linear steps to the rotation between two lenses
 
 
 def direction_displacements(camera: Camera, pixels: Array, fitted: Array | None = None) -> Array:

@@ -198,14 +198,41 @@ def rig_models(
     open_ = [name for name in captures.cameras if name not in models]
     found = _chosen_for(captures, board, open_, shape, circles)
     estimated = {name: models[name] for name in asked if name not in given or settings.lenses == JOINT}
+    beside = _compare_asked(captures, board, estimated, shape, circles)
     return RigModels(
         {name: {**models, **found.models}[name] for name in captures.cameras},
         found.others,
         found.candidates,
-        found.starts,
+        {**found.starts, **_starts(beside, models)},
         found.lines,
-        _compare_asked(captures, board, estimated, shape, circles),
+        beside,
     )
+
+
+def _starts(
+    compared: Mapping[str, Sequence[CandidateModel]], models: Mapping[str, CameraModel]
+) -> dict[str, CalibrationFit]:
+    """Return the brief fits of cameras with their models, among those that were compared."""
+    return {
+        name: own.fit
+        for name, candidates in compared.items()
+        for own in candidates
+        if own.name == models[name].name and isinstance(own, FittedModel) and own.fit is not None
+    }
+
+
+def brief_lenses(
+    captures: Captures, board: Board, settings: RigSettings, shape: ShapeOptions, circles: Mapping[str, ImageCircle]
+) -> dict[str, Calibration]:
+    """Return brief calibrations of cameras alone, by which corners can be expected, of those whose views hold one."""
+    asked, result = _asked(settings.models, captures.cameras), dict[str, Calibration]()
+    for name in captures.cameras:
+        options = intrinsics.Options(model_named(asked.get(name, DEFAULT_MODEL)), shape=shape)
+        views, circle = _views(captures, name), circles.get(name)
+        with suppress(InsufficientData, InvalidInput):
+            found = brief_calibration(views, board, options, circle, choose=name not in asked)
+            result |= {name: found} if found is not None else {}
+    return result
 
 
 def _compare_asked(
@@ -223,20 +250,6 @@ def _compare_asked(
             [own] = intrinsics.compare_models(views, board, options, [model])
             found[name] = rank_beside(own, views, board, options, circles.get(name))
     return found
-
-
-def brief_lenses(
-    captures: Captures, board: Board, settings: RigSettings, shape: ShapeOptions, circles: Mapping[str, ImageCircle]
-) -> dict[str, Calibration]:
-    """Return brief calibrations of cameras alone, by which corners can be expected, of those whose views hold one."""
-    asked, result = _asked(settings.models, captures.cameras), dict[str, Calibration]()
-    for name in captures.cameras:
-        options = intrinsics.Options(model_named(asked.get(name, DEFAULT_MODEL)), shape=shape)
-        views, circle = _views(captures, name), circles.get(name)
-        with suppress(InsufficientData, InvalidInput):
-            found = brief_calibration(views, board, options, circle, choose=name not in asked)
-            result |= {name: found} if found is not None else {}
-    return result
 
 
 def _asked(texts: Sequence[str], names: Sequence[str]) -> dict[str, str]:
@@ -285,13 +298,8 @@ def _chosen_for(
     alike = [(kind.names, alternative(kind.candidates, kind.model)) for kind in kinds]
     others = {name: model_named(other.name) for own, other in alike if other is not None for name in own}
     lines = tuple(kind.line for kind in kinds if kind.model != DEFAULT_MODEL)
-    starts = {
-        name: own.fit
-        for name, candidates in found.items()
-        for own in candidates
-        if own.name == models[name].name and isinstance(own, FittedModel) and own.fit is not None
-    }
-    return RigModels(models, others, {kind.names: kind.candidates for kind in kinds}, starts, lines)
+    compared_of = {kind.names: kind.candidates for kind in kinds}
+    return RigModels(models, others, compared_of, _starts(found, models), lines)
 
 
 def _focal(views: Sequence[BoardDetection], board: Board) -> float:
