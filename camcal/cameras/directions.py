@@ -9,8 +9,11 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.cameras.model import Camera
 from camcal.geometry import rotation as so3
+from camcal.opencv import convex_hull
 
 _FEWEST = 10  # pixels that a rotation is fitted to
+_FLAT = 1e-6  # px, the width of a hull that is a line
+_ROUNDING_PX = 1e-3  # of corners of a hull, in single precision
 
 
 def direction_displacements(camera: Camera, pixels: Array, fitted: Array | None = None) -> Array:
@@ -61,12 +64,13 @@ def _rotations(moved: Array, by_rotation: Array) -> Array:
 
 def in_hull(pixels: Array, observed: Array) -> Array:
     """Return which pixels (N, 2) lie in the convex hull of others (M, 2): none if these are on one line."""
-    from scipy.spatial import ConvexHull, QhullError
-
     if len(observed) < 3:
         return np.zeros(len(pixels), bool)
-    try:
-        sides = ConvexHull(observed).equations  # outward normals and offsets
-    except QhullError:  # all on one line
+    corners = observed[convex_hull(observed)]
+    sides = np.roll(corners, -1, axis=0) - corners
+    area = np.sum(corners[:, 0] * np.roll(corners[:, 1], -1) - corners[:, 1] * np.roll(corners[:, 0], -1))
+    if np.abs(area) <= _FLAT * np.linalg.norm(sides, axis=1).sum():  # all on one line
         return np.zeros(len(pixels), bool)
-    return np.asarray((pixels @ sides[:, :2].T + sides[:, 2] <= 1e-9).all(axis=1))
+    apart = pixels[:, None] - corners
+    across = (sides[:, 0] * apart[..., 1] - sides[:, 1] * apart[..., 0]) / np.linalg.norm(sides, axis=1)
+    return np.asarray((np.sign(area) * across >= -_ROUNDING_PX).all(axis=1))

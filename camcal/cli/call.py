@@ -12,14 +12,17 @@ from camcal.files import STANDARD
 from camcal.images.options import set_max_pixels
 from camcal.messages import Message, counted
 from camcal.options import GENERAL, Option
-from camcal.progress import Progress
+from camcal.progress import Progress, Timed, Timing
 
 _MOST_PIXELS = 1e6  # millions; sides are 32-bit numbers
 
 
 @dataclass(frozen=True)
 class Call:
-    """How a command is called: what each of them takes beside the options of its task. documents: what it gave."""
+    """How a command is called: what each of them takes beside the options of its task.
+
+    documents: what it gave. timings: of the stages of its work, by their names.
+    """
 
     command: str
     json: Annotated[bool, Option("Print one JSON document on stdout and nothing else.", group=GENERAL)] = False
@@ -27,6 +30,7 @@ class Call:
     verbose: Annotated[bool, Option("Show all rows, columns and details.", group=GENERAL, names="--verbose -v")] = False
 
     documents: list[Callable[[], Mapping[str, Any]]] = field(default_factory=list)
+    timings: dict[str, Timing] = field(default_factory=dict)
 
     def prepare(self) -> None:
         """Set what holds for the whole process."""
@@ -44,7 +48,8 @@ class Call:
             work()
             if self.documents:
                 document = plain(self.documents[-1]())
-                finished.keep({name: value for name, value in document.items() if name != "reused"})
+                kept = {name: value for name, value in document.items() if name != "reused"}
+                finished.keep(kept | ({"timings": {}} if "timings" in kept else {}))
             return
         failures = [Message(**each) for each in known.get("failures", ())]
 
@@ -58,7 +63,7 @@ class Call:
     @property
     def progress(self) -> Progress:
         """What a task reports to."""
-        return show.progress(self.quiet)
+        return Timed(show.progress(self.quiet), self.timings)
 
     def give(
         self,
@@ -81,15 +86,21 @@ class Call:
     def give_with_reused(
         self, document: Callable[[], Mapping[str, Any]], words: Callable[[], None], failures: Sequence[Message] = ()
     ) -> None:
-        """Print a result as `give` does, and of how many of its images an earlier run had found the corners."""
+        """Print a result as `give` does, of how many of its images an earlier run had found the corners, and how long
+        the stages of the work took.
+        """
         from camcal.run.journal import found_before
 
         def more() -> None:
             words()
             if count := found_before():
                 show.text(f"{counted(count, 'image')} searched by an earlier run")
+            if self.verbose and self.timings:
+                rows = [[name, f"{own.wall_s:.2f}", f"{own.cpu_s:.2f}"] for name, own in self.timings.items()]
+                show.table("time of this process, s", ["stage", "wall clock", "processor"], rows)
 
-        self.give(lambda: {**document(), "reused": found_before()}, more, failures)
+        timings = {name: vars(timing) for name, timing in self.timings.items()}
+        self.give(lambda: {**document(), "reused": found_before(), "timings": timings}, more, failures)
 
 
 @dataclass(frozen=True)

@@ -8,9 +8,9 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
+from statistics import NormalDist
 
 import numpy as np
-from scipy.special import chdtrc, ndtri, stdtrit
 
 from camcal.arrays import Array, FloatArray
 from camcal.brief import Brief
@@ -26,6 +26,7 @@ from camcal.quality.projection_uncertainty import (
     projection_uncertainty,
     with_pattern,
 )
+from camcal.solve.losses import chi_square_beyond
 from camcal.targets.board_types import BOARD_TYPES
 
 _CHANCE = 1e-6  # of residuals that follow the radius by so much, if the lens model were right
@@ -196,8 +197,10 @@ def _few_views_factor(count: int) -> float:
     """Return by how much wider an interval is where the standard deviation is from so many views, 1 for many."""
     if count >= _FEW_FOR_SCATTER:
         return 1.0
+    from scipy.special import stdtrit  # here, as importing it takes longer than many commands
+
     quantile = (1 + _INTERVAL) / 2
-    return float(stdtrit(max(count - 1, 1), quantile) / ndtri(quantile))
+    return float(stdtrit(max(count - 1, 1), quantile)) / NormalDist().inv_cdf(quantile)
 
 
 def _views(calibration: Calibration) -> Iterator[Message]:
@@ -359,7 +362,7 @@ def radial_trend(calibration: Calibration) -> Trend:
     return Trend(
         float(means[worst]),
         (float(edges[worst]), float(edges[worst + 1])),
-        float(chdtrc(_RINGS, statistic)),
+        chi_square_beyond(statistic, _RINGS),
         radii=(edges[:-1] + edges[1:]) / 2,
         means=means,
     )

@@ -84,9 +84,12 @@ def test_json_is_the_only_thing_on_stdout(run, table, tmp_path):
         "within_views", "two_cameras", "rms_px",
         "sigma_px", "model_error_px", "degrees_of_freedom", "board", "board_shape", "views", "rejected", "uncertainty",
         "image_circle",
-        "refinement", "trustworthy", "region", "failures", "candidates", "frames", "failed", "reused", "warnings",
+        "refinement", "trustworthy", "region", "failures", "candidates", "frames", "failed", "reused", "timings",
+        "warnings",
     ]  # fmt: skip
     assert document["schema"] == "camcal/calibrate/1"
+    assert list(document["timings"]) == ["choosing the lens model", "solving", "checking", "writing"]
+    assert all(own["cpu_s"] > 0 and 0 < own["wall_s"] < 600 for own in document["timings"].values())
     assert len(document["views"]) == 15
     assert all(np.hypot(*corner["residual"]) > 0.4 for corner in document["rejected"])
     assert list(document["board_shape"]) == [

@@ -396,6 +396,18 @@ def test_inspecting_the_camera_file_of_a_fisheye_loads_only_what_reads_it(tmp_pa
     assert not heavy & set(process.stderr.split())
 
 
+def test_calibrating_imports_what_it_needs_and_no_scipy():
+    program = (
+        "import sys, cv2, numpy as np, camcal\n"
+        "from camcal.tasks.calibration.calibrate import calibrate\n"
+        "import camcal.targets.checker.chessboard\n"
+        "print(*sys.modules)"
+    )
+    process = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert "camcal.calibrate.fit" in process.stdout.split()
+    assert not {"scipy", "matplotlib", "rich", "rawpy", "jinja2"} & set(process.stdout.split())
+
+
 def test_no_command_imports_the_core_before_it_is_run():
     program = (
         "import sys\n"

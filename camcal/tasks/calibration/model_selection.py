@@ -6,10 +6,11 @@ from dataclasses import dataclass, replace
 from camcal.calibrate import intrinsics
 from camcal.calibrate.fit import ShapeOptions
 from camcal.calibrate.intrinsics import Calibration, CandidateModel, FittedModel, compare_models
-from camcal.cameras.catalogue import DEFAULT_MODEL, model_named
+from camcal.cameras.catalogue import DEFAULT_MODEL, WIDE_MODEL, model_named
 from camcal.cameras.validity import ImageCircle
 from camcal.errors import CamcalError, InsufficientData, InvalidInput, NotConverged
 from camcal.messages import Message
+from camcal.progress import SILENT, Progress, stage
 from camcal.quality.assess import Assessment, assess, other_models, passing_model
 from camcal.quality.lens_choice import GAIN, judge, rank_models
 from camcal.targets.board import Board
@@ -45,12 +46,13 @@ def solve(
     circle: ImageCircle | None = None,
     *,
     choose: bool = True,
+    progress: Progress = SILENT,
 ) -> Selection:
     """Return the calibration by `select`, or by `solve_given` with the lens model of the options where that is not to
     be chosen. A bend of the board that is held flat is named as the cause where a calibration without that passes.
     """
     try:
-        found = (select if choose else solve_given)(views, board, options, circle)
+        found = (select if choose else solve_given)(views, board, options, circle, progress)
     except (InsufficientData, NotConverged) as error:
         if (bent := _bend(views, board, options, circle)) is None:
             raise
@@ -80,7 +82,11 @@ def _bend(
 
 
 def select(
-    views: Sequence[BoardDetection], board: Board, options: intrinsics.Options, circle: ImageCircle | None = None
+    views: Sequence[BoardDetection],
+    board: Board,
+    options: intrinsics.Options,
+    circle: ImageCircle | None = None,
+    progress: Progress = SILENT,
 ) -> Selection:
     """Return the calibration with the lens model that predicts views best and passes the verdict, DEFAULT_MODEL unless
     another one is clearly better; options.model does not matter. circle: the image circle, outside of which no lens
@@ -90,7 +96,8 @@ def select(
     pass either, the first is returned. Raises InsufficientData, InvalidInput or NotConverged where no model leads to a
     calibration.
     """
-    candidates = compared(views, board, options, circle)
+    with stage(progress, "choosing the lens model"):
+        candidates = compared(views, board, options, circle)
     order = rank_models(candidates, DEFAULT_MODEL)
     failure: CamcalError | None = None
     taken: Selection | None = None
@@ -100,12 +107,14 @@ def select(
             break
         try:
             start = own.fit if isinstance(own, FittedModel) else None
-            calibration = intrinsics.calibrate(views, board, replace(options, model=model_named(own.name)), start)
+            with stage(progress, "solving"):
+                calibration = intrinsics.calibrate(views, board, replace(options, model=model_named(own.name)), start)
         except _FAILURES as error:
             failure = failure or error
             continue
         named = tuple(each.without_fit() if isinstance(each, FittedModel) else each for each in candidates)
-        found = Selection(calibration, assess(calibration, circle, order), named)
+        with stage(progress, "checking"):
+            found = Selection(calibration, assess(calibration, circle, order), named)
         if taken is None or found.assessment.trustworthy:
             taken = _with_reason(found, order[0].name, failure if taken is None else None)
         if found.assessment.trustworthy:
@@ -119,18 +128,24 @@ def select(
 
 
 def solve_given(
-    views: Sequence[BoardDetection], board: Board, options: intrinsics.Options, circle: ImageCircle | None = None
+    views: Sequence[BoardDetection],
+    board: Board,
+    options: intrinsics.Options,
+    circle: ImageCircle | None = None,
+    progress: Progress = SILENT,
 ) -> Selection:
     """Return the calibration with the lens model of the options; where it is not to be trusted, with what other models
     would lead to. Raises as `intrinsics.calibrate` does.
     """
     free = replace(options, fixed=(), guess=None)
     try:
-        calibration = intrinsics.calibrate(views, board, options)
+        with stage(progress, "solving"):
+            calibration = intrinsics.calibrate(views, board, options)
     except (InsufficientData, NotConverged) as error:
         others = rank_models(compared(views, board, free, circle), DEFAULT_MODEL) if _is_of_the_lens(error) else ()
         raise _with_remedy(error, options.model.name, others) from error
-    found = Selection(calibration, assess(calibration, circle))
+    with stage(progress, "checking"):
+        found = Selection(calibration, assess(calibration, circle))
     if found.assessment.trustworthy:
         return found
     others = rank_models(compared(views, board, free, circle), DEFAULT_MODEL)
@@ -147,6 +162,25 @@ def compared(
         others = compare_models(views, board, options, [model_named(name) for name in _CONTAINED])
         found |= {own.name: own for own in others}
     return judge([found[name] for name in CANDIDATES if name in found], circle)
+
+
+def brief_calibration(
+    views: Sequence[BoardDetection],
+    board: Board,
+    options: intrinsics.Options,
+    circle: ImageCircle | None = None,
+    *,
+    choose: bool = True,
+) -> Calibration | None:
+    """Return a brief calibration by which corners can be expected well enough to measure them, None where there is
+    none: with DEFAULT_MODEL, or with WIDE_MODEL where that does not pass, unless the lens model is not to be chosen.
+    """
+    found: list[CandidateModel] = []
+    for name in (DEFAULT_MODEL, WIDE_MODEL) if choose else (options.model.name,):
+        found += judge(compare_models(views, board, options, [model_named(name)]), circle)
+        if found[-1].calibration is not None and not found[-1].failures:
+            return found[-1].calibration
+    return rank_models(found, DEFAULT_MODEL)[0].calibration
 
 
 def _is_of_the_lens(error: CamcalError) -> bool:

@@ -10,9 +10,9 @@ import numpy as np
 
 from camcal import files
 from camcal.calibrate import intrinsics
-from camcal.calibrate.fit import ShapeOptions
+from camcal.calibrate.fit import CalibrationFit, ShapeOptions
 from camcal.calibrate.initialise import sweep_focal
-from camcal.calibrate.intrinsics import Calibration, CandidateModel
+from camcal.calibrate.intrinsics import Calibration, CandidateModel, FittedModel
 from camcal.calibrate.rigs.record import Captures
 from camcal.cameras.catalogue import DEFAULT_MODEL, WIDE_MODEL, model_named
 from camcal.cameras.lens import CameraModel
@@ -30,7 +30,7 @@ from camcal.run.paths import split_address
 from camcal.targets.board import Board
 from camcal.targets.detection import BoardDetection
 from camcal.tasks.calibration.mixed_sizes import usual_size
-from camcal.tasks.calibration.model_selection import compared
+from camcal.tasks.calibration.model_selection import brief_calibration, compared
 from camcal.tasks.rigs.options import JOINT, PRIOR, RigSettings
 
 _SIMILAR = 1.3  # ratio of rough focal lengths, up to which two cameras may be of a kind
@@ -48,13 +48,13 @@ class GivenLens:
 @dataclass(frozen=True, eq=False)
 class RigModels:
     """The lens model of every camera, others that predict alike, the models that were compared for cameras of a kind,
-    by its cameras, and brief calibrations of cameras alone, of those that pass.
+    by its cameras, and brief fits of cameras with their models.
     """
 
     models: Mapping[str, CameraModel]
     others: Mapping[str, CameraModel] = field(default_factory=dict)
     candidates: Mapping[tuple[str, ...], tuple[CandidateModel, ...]] = field(default_factory=dict)
-    brief: Mapping[str, Calibration] = field(default_factory=dict)
+    starts: Mapping[str, CalibrationFit] = field(default_factory=dict)
     lines: tuple[str, ...] = ()
 
     def candidates_of(self, name: str) -> list[CandidateModel]:
@@ -197,9 +197,23 @@ def rig_models(
         {name: {**models, **found.models}[name] for name in captures.cameras},
         found.others,
         found.candidates,
-        found.brief,
+        found.starts,
         found.lines,
     )
+
+
+def brief_lenses(
+    captures: Captures, board: Board, settings: RigSettings, shape: ShapeOptions, circles: Mapping[str, ImageCircle]
+) -> dict[str, Calibration]:
+    """Return brief calibrations of cameras alone, by which corners can be expected, of those whose views hold one."""
+    asked, result = _asked(settings.models, captures.cameras), dict[str, Calibration]()
+    for name in captures.cameras:
+        options = intrinsics.Options(model_named(asked.get(name, DEFAULT_MODEL)), shape=shape)
+        views, circle = _views(captures, name), circles.get(name)
+        with suppress(InsufficientData, InvalidInput):
+            found = brief_calibration(views, board, options, circle, choose=name not in asked)
+            result |= {name: found} if found is not None else {}
+    return result
 
 
 def _asked(texts: Sequence[str], names: Sequence[str]) -> dict[str, str]:
@@ -248,13 +262,13 @@ def _chosen_for(
     alike = [(kind.names, alternative(kind.candidates, kind.model)) for kind in kinds]
     others = {name: model_named(other.name) for own, other in alike if other is not None for name in own}
     lines = tuple(kind.line for kind in kinds if kind.model != DEFAULT_MODEL)
-    brief = {
-        name: own.calibration
+    starts = {
+        name: own.fit
         for name, candidates in found.items()
         for own in candidates
-        if own.name == models[name].name and own.calibration is not None and not own.failures
+        if own.name == models[name].name and isinstance(own, FittedModel) and own.fit is not None
     }
-    return RigModels(models, others, {kind.names: kind.candidates for kind in kinds}, brief, lines)
+    return RigModels(models, others, {kind.names: kind.candidates for kind in kinds}, starts, lines)
 
 
 def _focal(views: Sequence[BoardDetection], board: Board) -> float:
