@@ -2,11 +2,12 @@
 
 camcal: the whole command `camcal calibrate IMAGES --jobs 1`, a process of its own, whose `timings` are the stages;
 start is what remains: Python, imports, reports, the end. Images are decoded in the stages that locate boards and
-measure corners. table: the same command on the detections that this leaves, the lens model chosen, and given. OpenCV, also a
-process of its own, one thread: decode, find the corners with findChessboardCorners and cornerSubPix (plain), or
-findChessboardCornersSB with its exhaustive and accurate flags (accurate), or cv2.aruco's detector for ChArUco boards,
-then cv2.calibrateCamera. mrgingham, where it is installed, only finds corners (--jobs 1). boards: images in which the
-board was found, of all. Each figure is the median of some runs, all programs in turn.
+measure corners. table: the same command on the detections that this leaves, the lens model chosen; given: the model
+given. OpenCV, also a process of its own, one thread: decode, find the corners with findChessboardCorners and
+cornerSubPix (plain), or findChessboardCornersSB with its exhaustive and accurate flags (accurate), or cv2.aruco's
+detector for ChArUco boards, then cv2.calibrateCamera. mrgingham, where it is installed and the board is square, only
+finds corners. boards: images in which the board was found, of all. Each figure is the median of some runs, all programs
+in turn.
 
     CAMCAL_TEST_DATA=FOLDER python benchmarks/end_to_end.py [--sets NAME …] [--runs 3]
 """

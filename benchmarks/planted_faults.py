@@ -3,6 +3,9 @@
 The list is in tests/faults, one file a package and one table a fault: the text that stands once in the package, what
 takes its place, and the tests that most likely find it. The tree is copied and every fault is planted in the copy by
 itself: the likely tests are run first, the other fast ones where those pass.
+
+With --thresholds the faults are the constants of tests/faults/thresholds, each at half and at twice its value: a table
+a module, with the names of its constants and the likely tests.
 """
 
 import argparse
@@ -20,6 +23,7 @@ from pathlib import Path
 
 PROJECT = Path(__file__).parents[1]
 LISTS = PROJECT / "tests" / "faults"
+THRESHOLDS = LISTS / "thresholds" / "decisions.toml"
 PARTS = ("camcal", "tests", "docs", "benchmarks", "sample_configs", "pyproject.toml", "README.md", "CHANGELOG.md")
 LONGEST_S = 1800.0  # of one run of tests; a fault that lets one go on for ever is found
 
@@ -33,6 +37,23 @@ class Fault:
     find: str
     put: str
     tests: tuple[str, ...] = ()
+    module: str = ""  # by its path in the package, where the text may stand in others too
+
+
+def thresholds(path: Path = THRESHOLDS, package: Path = PROJECT / "camcal") -> list[Fault]:
+    """Return the constants of a list at half and at twice their values; ends where one is no number of its module."""
+    found = []
+    for module, own in tomllib.loads(path.read_text(encoding="utf-8")).items():
+        text = (package / module).read_text(encoding="utf-8")
+        for name in own["names"]:
+            numbers = re.findall(rf"^{name} = ([-\d.e_ /]+?)(?:  #.*)?$", text, re.MULTILINE)
+            if len(numbers) != 1:
+                raise SystemExit(f"{module}: {name} is not defined once, by a number")
+            halved = "//" if numbers[0].isdigit() else "/"
+            for way, change in (("half", f"{halved} 2"), ("twice", "* 2")):
+                line = f"{name} = {numbers[0]}"
+                found.append(Fault(module, f"{name} at {way}", line, f"{line} {change}", tuple(own["tests"]), module))
+    return found
 
 
 def faults(folder: Path = LISTS) -> list[Fault]:
@@ -48,7 +69,8 @@ def faults(folder: Path = LISTS) -> list[Fault]:
 
 def plant(fault: Fault, tree: Path) -> tuple[Path, str]:
     """Write a fault into the package below `tree`; return the module that has it now, and what it was before."""
-    modules = ((path, path.read_text("utf-8")) for path in sorted((tree / "camcal").rglob("*.py")))
+    paths = [tree / "camcal" / fault.module] if fault.module else sorted((tree / "camcal").rglob("*.py"))
+    modules = ((path, path.read_text("utf-8")) for path in paths)
     places = [(path, text) for path, text in modules if fault.find in text]
     if len(places) != 1 or places[0][1].count(fault.find) != 1:
         raise SystemExit(f"{fault.name}: its text does not stand once in the package: {fault.find!r}")
@@ -107,10 +129,11 @@ def main() -> None:
     parser.add_argument("--package", help="of one list only, such as calibrate")
     parser.add_argument("--likely", action="store_true", help="run the likely tests only")
     parser.add_argument("--lists", type=Path, default=LISTS, help="the folder of the lists")
+    parser.add_argument("--thresholds", action="store_true", help="constants at half and at twice their values instead")
     options = parser.parse_args()
     chosen = [
         fault
-        for fault in faults(options.lists)
+        for fault in (thresholds() if options.thresholds else faults(options.lists))
         if (not options.names or any(name in fault.name for name in options.names))
         and options.package in {None, fault.package}
     ]
@@ -120,7 +143,9 @@ def main() -> None:
         for part in PARTS:
             copy = shutil.copytree if (PROJECT / part).is_dir() else shutil.copy
             copy(PROJECT / part, tree / part)
-        print("| package | fault | found by | s |\n|---|---|---|---|")
+        by_module: dict[str, list[str | None]] = {}
+        if not options.thresholds:
+            print("| package | fault | found by | s |\n|---|---|---|---|")
         for fault in chosen:
             start = time.monotonic()
             path, text = plant(fault, tree)
@@ -128,11 +153,18 @@ def main() -> None:
             by = found_by(tree, likely, "-p", "no:randomly", "-p", "no:xdist", "-o", "addopts=") if likely else None
             if by is None and not options.likely:
                 by = found_by(tree, ["tests"], "-n", "2")
-            survivors += by is None
-            seconds = time.monotonic() - start
-            print(f"| {fault.package} | {fault.name} | {by or '**survives**'} | {seconds:.0f} |", flush=True)
             write(path, text)
-    print(f"\n{len(chosen)} faults, {survivors} survive")
+            survivors += by is None
+            by_module.setdefault(fault.package, []).append(None if by else fault.name)
+            if not options.thresholds:
+                seconds = time.monotonic() - start
+                print(f"| {fault.package} | {fault.name} | {by or '**survives**'} | {seconds:.0f} |", flush=True)
+    if options.thresholds:
+        print("| module | constants | survive |\n|---|---|---|")
+        for module, alive in by_module.items():
+            print(f"| {module} | {len(alive) // 2} | {', '.join(filter(None, alive)) or 'none'} |")
+    else:
+        print(f"\n{len(chosen)} faults, {survivors} survive")
 
 
 if __name__ == "__main__":

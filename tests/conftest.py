@@ -21,7 +21,14 @@ PROJECT = Path(__file__).parents[1]
 for _name in BLAS_THREADS:
     os.environ.setdefault(_name, "1")
 
-settings.register_profile("camcal", max_examples=50, deadline=None, derandomize=True)
+# Each of the processes that share the tests keeps to a core of its own: a command then starts no worker processes
+# unless it is told how many, and what it starts does not take the cores of the others.
+if (_worker := os.environ.get("PYTEST_XDIST_WORKER", "")).startswith("gw") and hasattr(os, "sched_setaffinity"):
+    _cores = sorted(os.sched_getaffinity(0))
+    os.sched_setaffinity(0, {_cores[int(_worker[2:]) % len(_cores)]})
+
+EXAMPLES = int(os.environ.get("CAMCAL_EXAMPLES", "25"))  # that a randomised search tries; hundreds find more
+settings.register_profile("camcal", max_examples=EXAMPLES, deadline=None, derandomize=True)
 settings.load_profile("camcal")
 
 

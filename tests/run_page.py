@@ -9,6 +9,8 @@ import stat
 import subprocess
 import sys
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,6 +20,56 @@ PAGES = [PROJECT / "docs" / "tutorial.md", *sorted((PROJECT / "docs" / "recipes"
 
 _FENCE = re.compile(r"^```(sh|python|text)\n(.*?)^```$", flags=re.MULTILINE | re.DOTALL)
 _NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
+# Runs every command as a copy of itself, so that libraries are imported once for a page: it takes the arguments, the
+# environment, the folder and the three streams of a call from a socket, and gives back the exit code.
+_SERVER = """
+import importlib, json, os, socket, sys
+from camcal.cli.main import main
+from camcal.run.process import BLAS_THREADS
+os.environ.update(dict.fromkeys(BLAS_THREADS, "1"))
+for module in ("calibration.calibrate", "calibration.undistort", "simulation.simulate", "rigs.calibrate_rig", "plot",
+               "poses.track", "stereo.stereo_run", "reports.pages"):
+    importlib.import_module(f"camcal.tasks.{module}")
+server = socket.socket(socket.AF_UNIX)
+server.bind(sys.argv[1])
+server.listen()
+print("ready", flush=True)
+running = []
+while True:
+    call, _ = server.accept()
+    text, streams, _, _ = socket.recv_fds(call, 1 << 20, 3)
+    running = [child for child in running if os.waitpid(child, os.WNOHANG)[0] == 0]
+    if child := os.fork():
+        call.close()
+        for stream in streams:
+            os.close(stream)
+        running.append(child)
+        continue
+    for number, stream in enumerate(streams):
+        os.dup2(stream, number)
+        os.close(stream)
+    words, environment, folder = json.loads(text)
+    os.environ.clear()
+    os.environ.update(environment)
+    os.chdir(folder)
+    sys.argv = ["camcal", *words]
+    code = 1
+    try:
+        main()
+    except SystemExit as leaving:
+        code = leaving.code or 0
+    finally:
+        sys.stdout.flush()
+        call.send(bytes([code]))
+        os._exit(code)
+"""
+_CLIENT = """
+import json, os, socket, sys
+call = socket.socket(socket.AF_UNIX)
+call.connect(sys.argv[1])
+socket.send_fds(call, [json.dumps([sys.argv[2:], dict(os.environ), os.getcwd()]).encode()], [0, 1, 2])
+sys.exit((call.recv(1) or b"\\x01")[0])
+"""
 _INSTALLATION = "-m venv"  # blocks that install camcal are run by .ci/run
 
 
@@ -45,14 +97,14 @@ def run(page: str, folder: Path) -> list[str]:
     """Return the output of every step of a page, run in a folder; a command that fails ends it with its output."""
     with tempfile.TemporaryDirectory() as kept:
         tools, outputs = Path(kept), []
-        _write_command(tools / "camcal")
         script = ["set -euo pipefail"]
         for number, step in enumerate(steps(page)):
             outputs.append(tools / f"{number}.txt")
             script.append(_script(step, outputs[-1]))
         path = f"{tools}{os.pathsep}{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
         environment = os.environ | {"PATH": path, "COLUMNS": "80"}
-        ended = subprocess.run(["bash", "-c", "\n".join(script)], cwd=folder, env=environment, check=False)
+        with _command(tools / "camcal"):
+            ended = subprocess.run(["bash", "-c", "\n".join(script)], cwd=folder, env=environment, check=False)
         printed = [output.read_text(encoding="utf-8") for output in outputs if output.exists()]
         if ended.returncode:
             message = f"exit {ended.returncode} in\n{steps(page)[len(printed) - 1].code}\n{printed[-1]}"
@@ -60,11 +112,20 @@ def run(page: str, folder: Path) -> list[str]:
         return printed
 
 
-def _write_command(path: Path) -> None:
-    """Write a program `camcal` that is the package of this tree."""
-    start = "from camcal.cli.main import main; main()"
-    path.write_text(f'#!/bin/sh\nexec {sys.executable} -c "{start}" "$@"\n', encoding="utf-8")
+@contextmanager
+def _command(path: Path) -> Iterator[None]:
+    """Write a program `camcal` that is the package of this tree, while the process that runs it is there."""
+    calls = path.with_name("calls")
+    client = f"exec {sys.executable} -I -S -c '{_CLIENT}' {calls} \"$@\"\n"
+    path.write_text(f"#!/bin/sh\n{client}", encoding="utf-8")
     path.chmod(path.stat().st_mode | stat.S_IXUSR)
+    words = [sys.executable, "-c", _SERVER, str(calls)]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, start_new_session=True) as server:
+        try:
+            server.stdout.readline()
+            yield
+        finally:
+            server.kill()
 
 
 def _script(step: Step, output: Path) -> str:

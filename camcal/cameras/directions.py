@@ -14,6 +14,7 @@ from camcal.opencv import convex_hull
 _FEWEST = 10  # pixels that a rotation is fitted to
 _FLAT = 1e-6  # px, the width of a hull that is a line
 _ROUNDING_PX = 1e-3  # of corners of a hull, in single precision
+_TURNS = 4  # linear steps to the rotation between two lenses
 
 
 def direction_displacements(camera: Camera, pixels: Array, fitted: Array | None = None) -> Array:
@@ -37,12 +38,30 @@ def point_displacements(camera: Camera, pixels: Array, distance: float, fitted: 
     return _without_rotation(np.concatenate([by_lens, by_point / distance], axis=2), by_rotation, fitted)
 
 
+def lens_difference(camera: Camera, other: Camera, pixels: Array, fitted: Array | None = None) -> Array:
+    """Return by how much (N, 2), px, another camera images the directions elsewhere that one sees at pixels (N, 2),
+    after the rotation that best undoes that; fitted, NaN: as of `direction_displacements`, for either lens.
+    """
+    rays = camera.unproject(pixels).directions
+    for _ in range(_TURNS):
+        found = other.model.project_with_jacobians(other.parameters, rays)
+        apart, by_rotation = (found.pixels - pixels)[:, :, None], found.d_point @ -so3.hat(rays)
+        chosen = _fitted(apart, by_rotation, fitted)
+        rays = rays @ so3.exp(_rotations(apart[chosen], by_rotation[chosen])[:, 0])  # by its inverse
+    return np.asarray(_without_rotation(apart, by_rotation, fitted)[:, :, 0])
+
+
+def _fitted(moved: Array, by_rotation: Array, fitted: Array | None) -> Array:
+    """Return the pixels (N,) bool that a rotation is fitted to: see `direction_displacements`."""
+    valid = np.isfinite(moved).all(axis=(1, 2)) & np.isfinite(by_rotation).all(axis=(1, 2))
+    return np.asarray(valid if fitted is None or np.sum(valid & fitted) < _FEWEST else valid & fitted)
+
+
 def _without_rotation(moved: Array, by_rotation: Array, fitted: Array | None) -> Array:
     """Return displacements (N, 2, C) without what the rotation explains that explains most of them."""
-    valid = np.isfinite(moved).all(axis=(1, 2)) & np.isfinite(by_rotation).all(axis=(1, 2))
-    chosen = valid if fitted is None or np.sum(valid & fitted) < _FEWEST else valid & fitted
+    chosen = _fitted(moved, by_rotation, fitted)
     displacements = moved - by_rotation @ _rotations(moved[chosen], by_rotation[chosen])
-    displacements[~valid] = np.nan
+    displacements[~_fitted(moved, by_rotation, None)] = np.nan
     return np.asarray(displacements)
 
 

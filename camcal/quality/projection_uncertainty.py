@@ -147,7 +147,12 @@ def with_pattern(found: ProjectionUncertainty, centre: Array, radii: Array, radi
     """
     outwards = found.pixels - centre
     distance = np.linalg.norm(outwards, axis=1)
-    bias = (np.interp(distance, radii, radial_px) / np.maximum(distance, 1e-9))[:, None] * outwards
+    return with_bias(found, (np.interp(distance, radii, radial_px) / np.maximum(distance, 1e-9))[:, None] * outwards)
+
+
+def with_bias(found: ProjectionUncertainty, bias: Array) -> ProjectionUncertainty:
+    """Return the uncertainty with a bias (N, 2) px of its pixels added to it, NaN where none is known."""
+    bias = np.nan_to_num(bias)
     return replace(found, covariances=found.covariances + bias[:, :, None] * bias[:, None])
 
 

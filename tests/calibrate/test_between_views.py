@@ -1,6 +1,7 @@
 """What is not the same in all views is found with its place and size; errors within views are not taken for it."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -206,3 +207,63 @@ def test_a_step_is_as_clear_as_it_is_rare_among_views_that_differ_by_noise(count
     sets = [ViewOffsets(rng.normal(size=count), np.eye(count)[:, :, None], np.ones(count)) for _ in range(400)]
     clear = sum(between_views._step(own, images).clear > norm.isf(0.05) for own in sets)
     assert 0.05 * 400 < clear < 0.15 * 400
+
+
+class Compared(Exception):
+    """That views are compared, with the places of those that are."""
+
+
+def places_compared(monkeypatch, count):
+    def linearise(_, chosen):
+        raise Compared(chosen)
+
+    monkeypatch.setattr(between_views._Linearised, "of", linearise)
+    with pytest.raises(Compared) as compared:
+        between_views.between_views([None], [str(number) for number in range(count)])
+    return compared.value.args[0]
+
+
+def test_five_views_are_compared_and_of_many_no_more_than_sixty(monkeypatch):
+    assert len(places_compared(monkeypatch, 5)) == 5
+    chosen = places_compared(monkeypatch, 100)
+    assert (len(chosen), chosen[0], chosen[-1]) == (60, 0, 99)
+
+
+def test_a_change_has_two_views_on_either_side():
+    assert between_views._places(8).tolist() == [2, 3, 4, 5, 6]
+
+
+def outlying(*clear):
+    """The views that are named of sixteen, where the likeliest differ so clearly, one after another."""
+    found = iter(SimpleNamespace(index=index, size=[0.01], clear=lambda _, c=c: c) for index, c in enumerate(clear))
+    focal = SimpleNamespace(likeliest=lambda *_: next(found))
+    return between_views._outlying(focal, tuple(map(str, range(COUNT)))).images
+
+
+def test_views_that_differ_by_three_standard_deviations_are_named_with_the_one_that_differs_most():
+    assert outlying(10.0, 3.5, 2.9) == ("0", "1")
+    assert outlying(10.0, 2.9) == ("0",)
+
+
+def test_a_quarter_of_the_views_at_most_is_named():
+    assert outlying(*[10.0] * COUNT) == ("0", "1", "2", "3")
+
+
+@pytest.mark.parametrize(("corners", "apart"), [(4, False), (5, True)])
+def test_views_with_five_corners_in_common_tell_how_far_two_boards_are_apart(corners, apart):
+    second = np.array([False, False, True, True])
+    px = np.where(second, 0.5, -0.5)[:, None] * np.ones(3 * corners)
+    assert (between_views._distance(px, second) > 0) == apart
+
+
+@pytest.mark.parametrize(("unlikely", "named"), [(17.7, ()), (19.1, ("0",))])
+def test_a_view_is_blurred_if_less_than_one_set_in_a_thousand_looks_so_by_chance(unlikely, named):
+    """Mauchly's statistic of one of ten views, whose limit is 2 log(10 / 0.001) = 18.4."""
+    views, corners = 10, 40
+    share = np.exp(unlikely / corners)  # (a + b)² / 4ab of variances a and b
+    residuals = np.ones((2, views, corners))
+    residuals[0, :, ::2], residuals[1, :, : corners // 2] = -1, -1
+    residuals[0, 0] *= np.sqrt(2 * share - 1 + 2 * np.sqrt(share * (share - 1)))
+    full = SimpleNamespace(weights=np.ones((views, corners)), residuals=residuals)
+    found = between_views._blurred(full, tuple(map(str, range(views))))
+    assert tuple(view.image for view in found) == named

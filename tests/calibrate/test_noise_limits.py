@@ -4,7 +4,17 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from camcal.calibrate.noise import CUT, REJECTED, ViewNoise, corner_weights, lost, median_limit, truncation, view_noise
+from camcal.calibrate.noise import (
+    CUT,
+    REJECTED,
+    ViewNoise,
+    corner_weights,
+    lost,
+    median_limit,
+    robust_sigma,
+    truncation,
+    view_noise,
+)
 
 RAYLEIGH_MEDIAN = np.sqrt(2 * np.log(2))
 CORNERS = 40
@@ -62,3 +72,12 @@ def test_a_view_without_corners_does_no_harm():
 def test_what_a_cut_leaves_of_the_variance_is_that_of_normal_coordinates(cut):
     """The mean of s = d² with s below the cut, over 2: of the density s e^(-s/2) / 4 that of χ² with four degrees."""
     assert truncation(cut) == pytest.approx(chi2.cdf(cut**2, 4) / chi2.cdf(cut**2, 2), rel=1e-12)
+
+
+def test_the_noise_by_medians_is_a_thousandth_of_a_pixel_at_least():
+    found = [robust_sigma(np.full((1, 5), px), np.ones((1, 5), bool)) for px in (0.0, 1.1e-3, 2.5e-3)]
+    np.testing.assert_allclose(found, [1e-3, 1e-3, 2.5e-3 / np.sqrt(2 * np.log(2))])
+
+
+def test_a_cut_of_medians_loses_four_of_a_hundred_thousand_clean_corners():
+    assert 1e5 * chi2.sf(CUT**2, 2) == pytest.approx(4, abs=0.5)

@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 
 from camcal.calibrate.problem import BoardProblem
+from camcal.calibrate.rigs import mistakes as module
 from camcal.calibrate.rigs.calibrate import Captures, RigOptions, calibrate_rig
 from camcal.calibrate.rigs.links import CameraPoses, link
 from camcal.calibrate.rigs.mistakes import RigCamera, mistakes
+from camcal.calibrate.rigs.series import largest_step
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.observations import Observations
 from camcal.errors import CamcalError, InsufficientData
@@ -182,3 +184,42 @@ def test_two_cameras_with_the_same_images_in_most_captures_are_no_rig():
     models = dict.fromkeys(NAMES[:2], model_named("pinhole"))
     with pytest.raises(InsufficientData, match="left and right have the same images"):
         calibrate_rig(Captures(NAMES[:2], tuple("abcd"), tuple(rows)), BOARD, RigOptions(models))
+
+
+def test_five_of_the_captures_that_do_not_fit_are_named():
+    shifts = still()
+    shifts[[1, 3, 4, 7, 10, 12, 14], 1] = [40, -55, 70, -35, 90, -60, 45]
+    _, words = said_of(seen_by(still(), shifts))
+    assert "7 captures inconsistent with the others" in words
+    assert ": 0001, 0003, 0004, 0007, 0010 and 2 more; not used" in words
+
+
+def test_captures_that_are_off_by_more_than_4_hundredths_of_a_radian_do_not_fit_however_large_all_errors_are():
+    cameras = seen_by(still(), still())
+    known = link(cameras[0].poses, cameras[1].poses, BOARD)
+    pair = module._Pair(*cameras, BOARD, known)  # 24 px; six times the errors of the fifth that fits best are 30
+    fitting = pair._fitting(np.array([5.0] * 5 + [18.0] * 6 + [27.0] * 5))
+    assert fitting.tolist() == [True] * 11 + [False] * 5
+
+
+@pytest.mark.parametrize(("left", "late"), [(0.075, True), (0.12, False)])
+def test_images_are_late_if_that_leaves_less_than_a_tenth_of_a_pixel_however_small_the_error_is(left, late):
+    """The board hardly moves: by 0.2 px from capture to capture, which all of the second camera's images show late."""
+    angles = np.random.default_rng(5).uniform(0, 2 * np.pi, (2, COUNT))
+    moves, rest = (np.column_stack([np.cos(own), np.sin(own)]) for own in angles)
+    places = np.tile([-0.1, -0.1, 1.0], (COUNT, 1))
+
+    def seen(name, shifts, place):
+        return camera(name, places + place + np.pad(shifts, ((0, 0), (0, 1))) / FOCAL)
+
+    first, second = 0.14 * moves, 0.14 * moves[np.arange(-1, COUNT - 1)] + left * rest
+    codes, _ = said_of([seen("left", first, PLACES[0]), seen("right", second, PLACES[1])])
+    assert ("shifted_captures" in codes) == late
+
+
+def test_the_noise_beside_a_step_of_three_captures_is_taken_for_twice_what_it_looks():
+    values = np.array([-1.0, 0.0, 1.0, 99.0, 100.0, 101.0, 100.0, 98.0, 102.0])[:, None]
+    place, size, clear = largest_step(values)
+    assert (place, size) == (3, 100.0)
+    noise = 1.0 / 0.6745  # the median of what is left is 1
+    assert clear == pytest.approx(100 / (2 * noise * np.sqrt(np.pi / 2 * (1 / 3 + 1 / 6))), rel=1e-9)

@@ -10,7 +10,7 @@ from observed import make_scene
 from camcal.calibrate.fit import ShapeOptions
 from camcal.calibrate.intrinsics import Options, calibrate
 from camcal.calibrate.noise import REJECTED, ViewNoise, corner_weights, median_limit
-from camcal.calibrate.view_records import px_words
+from camcal.calibrate.view_records import names_of, px_words
 from camcal.cameras.catalogue import model_named
 
 FLAT = ShapeOptions(smooth=False, offsets=False)
@@ -62,3 +62,8 @@ def test_errors_of_views_are_per_corner_and_add_up_to_that_of_all():
     assert calibration.rms_px == pytest.approx(np.sqrt(np.mean(lengths**2)), rel=1e-9)
     parameters = 9 + 6 * len(seen)  # of lens and poses; weak priors hold less than one of them
     assert 2 * len(lengths) - parameters <= calibration.degrees_of_freedom <= 2 * len(lengths) - parameters + 1
+
+
+def test_a_sentence_names_five_images():
+    assert names_of("abcdefgh") == "a, b, c, d, e and 3 more"
+    assert names_of("abcde") == "a, b, c, d, e"

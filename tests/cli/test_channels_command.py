@@ -30,7 +30,8 @@ def scene(tmp_path_factory):
 
 
 def calibrated(run, scene, *options):
-    return run("calibrate", scene / "images", "--board", BOARD, "--pattern", "RGGB", "--jobs", 1, *options)
+    words = ("--board", BOARD, "--pattern", "RGGB", "--model", "opencv5", "--jobs", 1, *options)
+    return run("calibrate", scene / "images", *words)
 
 
 @pytest.mark.slow

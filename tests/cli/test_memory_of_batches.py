@@ -13,7 +13,7 @@ import pytest
 from camcal.cli.main import app
 
 BOARD = "chessboard:9x6:25mm"
-FEW, MANY = 4, 16
+FEW, MANY = 4, 8
 THREADED = 6, 30  # what threads hold of their images at once by chance is less than the records of these may take
 PER_ITEM = 40_000  # bytes; the smallest image here has 76 800 pixels
 TRIES = 3  # threads hold more or less of their images at once, by chance

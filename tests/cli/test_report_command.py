@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from report_scenes import SCENES, camera_of, detections_of
 
+from camcal.cli.main import app
 from camcal.errors import InsufficientData
 from camcal.formats import detections, native
 from camcal.formats.camera_file import CameraEntry, CameraFile, Transform
@@ -32,20 +33,33 @@ def here(tmp_path, monkeypatch):
     return tmp_path
 
 
+@pytest.fixture(scope="module")
+def calibrated(tmp_path_factory):
+    """The page and the camera file of a calibration, by their names, whose detections are gone."""
+    folder = tmp_path_factory.mktemp("calibrated")
+    words = ("calibrate", "corners.csv", "-o", "camera.yaml", "--report", "report.html", *QUICK, "--quiet")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        detections.write("corners.csv", detections_of(SCENES["good"], 12))
+        with pytest.raises(SystemExit) as leaving:
+            app(list(words))
+    assert not leaving.value.code
+    return {name: (folder / name).read_bytes() for name in ("camera.yaml", "report.html")}
+
+
 @pytest.fixture
-def table(here):
-    detections.write("corners.csv", detections_of(SCENES["good"], 12))
-    return "corners.csv"
+def calibration(here, calibrated):
+    for name, content in calibrated.items():
+        Path(name).write_bytes(content)
 
 
 @pytest.fixture(scope="module")
 def refused(tmp_path_factory):
-    """The page of detections whose corners are numbered as those of another board."""
+    """The page of detections that are too few to calibrate a camera."""
     folder = tmp_path_factory.mktemp("refused")
-    detections.write(folder / "wrong.csv", detections_of(SCENES["wrong-board"], 12))
-    options = ReportOptions(str(folder / "wrong.csv"), folder / "report.html", model="opencv5")
-    with pytest.raises(InsufficientData, match="--board describes another board"):
-        report(options)
+    detections.write(folder / "few.csv", detections_of(SCENES["good"], 2))
+    with pytest.raises(InsufficientData, match="at least 3"):
+        report(ReportOptions(str(folder / "few.csv"), folder / "report.html", model="opencv5"))
     return (folder / "report.html").read_bytes()
 
 
@@ -70,8 +84,11 @@ def changed(path, change):
     path.write_text(page[:start] + carried_data.run_text(run) + page[end:], encoding="utf-8")
 
 
-def test_detections_without_a_calibration_get_a_report_that_says_why(refusal):
-    page = refusal.read_text(encoding="utf-8")
+def test_detections_without_a_calibration_get_a_report_that_says_why(here):
+    detections.write("wrong.csv", detections_of(SCENES["wrong-board"], 12))
+    with pytest.raises(InsufficientData, match="--board describes another board"):
+        report(ReportOptions("wrong.csv", Path("report.html"), model="opencv5"))
+    page = Path("report.html").read_text(encoding="utf-8")
     assert "No calibration</h2>" in page
     assert page.index("corners (") < page.index("Check columns, rows and type of the board") < page.index("Images</h2>")
 
@@ -103,10 +120,7 @@ def test_a_rerun_that_ends_otherwise_is_a_failed_gate(run, refusal):
 
 
 @slow
-def test_a_calibration_is_repeated_byte_for_byte_with_its_camera_file(run, table):
-    code, out, _ = run("calibrate", table, "-o", "camera.yaml", "--report", "report.html", *QUICK)
-    assert (code, out.splitlines()[-1]) == (0, "wrote camera.yaml and report.html")
-    Path(table).unlink()
+def test_a_calibration_is_repeated_byte_for_byte_with_its_camera_file(run, calibration):
     code, out, _ = run("rerun", "report.html", "-o", "again", "--json")
     assert code == 0
     assert json.loads(out) == {
@@ -123,9 +137,7 @@ def test_a_calibration_is_repeated_byte_for_byte_with_its_camera_file(run, table
 
 
 @slow
-def test_a_figure_that_differs_is_named_with_its_size_in_standard_deviations(run, table):
-    run("report", table, "-o", "report.html", "--model", "opencv4")
-
+def test_a_figure_that_differs_is_named_with_its_size_in_standard_deviations(run, calibration):
     def move(page):
         text = page["result"]
         focal, std = (float(found) for found in re.findall(r"\bfx: ([\d.]+)", text)[:2])
@@ -156,14 +168,15 @@ def test_a_report_of_images_is_repeated_without_them(run, here):
     assert Path("again/camera.yaml").read_bytes() == Path("camera.yaml").read_bytes()
 
 
-@slow
-def test_guesses_are_carried(run, table):
-    run("calibrate", table, "-o", "first.yaml", *QUICK)
-    words = ("--guess", "first.yaml", "--fix", "k2", "-o", "camera.yaml", "--report", "report.html", *QUICK)
-    assert run("calibrate", table, *words)[0] == 0
+def test_guesses_are_carried(run, here):
+    detections.write("corners.csv", detections_of(SCENES["good"], 2))
+    native.write(Path("first.yaml"), CameraFile({"camera": CameraEntry(camera_of(SCENES["good"]))}))
+    words = ("--guess", "first.yaml", "--fix", "k2", "-o", "camera.yaml", "--report", "report.html", "--flat-board")
+    assert run("calibrate", "corners.csv", *words)[0] == 4
     Path("first.yaml").unlink()
     code, out, _ = run("rerun", "report.html", "-o", "again")
     assert (code, "Same report" in out) == (0, True)
+    assert carried(Path("report.html").read_text(encoding="utf-8"))["guess"][0]["name"] == "first.yaml"
 
 
 @slow
@@ -183,16 +196,15 @@ def test_a_rig_is_repeated_byte_for_byte(run, here):
 
 
 @slow
-def test_a_camera_file_alone_shows_what_it_holds_and_how_to_get_the_rest(run, table):
-    run("calibrate", table, "-o", "camera.yaml", *QUICK)
-    code, out, _ = run("report", "camera.yaml", "-o", "report.html")
+def test_a_camera_file_alone_shows_what_it_holds_and_how_to_get_the_rest(run, calibration):
+    code, out, _ = run("report", "camera.yaml", "-o", "page.html")
     assert code == 0
     assert "Calibration is trustworthy" in out
-    page = Path("report.html").read_text(encoding="utf-8")
+    page = Path("page.html").read_text(encoding="utf-8")
     focal = native.read("camera.yaml").cameras["camera"].camera.value("fx")
     assert f"{focal:.2f}"[:6] in page
     assert "They need the detections: camcal report DETECTIONS" in page
-    code, _, said = run("rerun", "report.html", "-o", "again")
+    code, _, said = run("rerun", "page.html", "-o", "again")
     assert code == 3
     assert "is no report that can be run again: it carries no detections" in said
 

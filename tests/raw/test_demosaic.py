@@ -3,6 +3,8 @@
 How good the colours are is measured on real images; see tests/real.
 """
 
+from itertools import product
+
 import numpy as np
 import pytest
 from bayer import PEAK, by_threads, plain_colour, random_mosaic, sampled, scene
@@ -40,23 +42,22 @@ def test_every_algorithm_with_colour_is_in_these_tests():
 
 @every_colour_filter
 @every_pattern
-@every_type
-@pytest.mark.parametrize("shape", [(2, 2), (3, 2), (8, 12), (7, 12), (8, 11), (33, 35)])
-def test_a_plain_colour_comes_back_everywhere_up_to_the_border(algorithm, pattern, dtype, shape):
-    image = plain_colour(shape, dtype)
-    result = demosaic(sampled(image, pattern), pattern, algorithm)
-    assert (result.shape, result.dtype) == ((*shape, 3), dtype)
-    np.testing.assert_allclose(result, image, rtol=0, atol=rounding(algorithm, dtype))
+def test_a_plain_colour_comes_back_everywhere_up_to_the_border(algorithm, pattern):
+    for shape, dtype in product([(2, 2), (3, 2), (8, 12), (7, 12), (8, 11), (33, 35)], PEAK):
+        image = plain_colour(shape, dtype)
+        result = demosaic(sampled(image, pattern), pattern, algorithm)
+        assert (result.shape, result.dtype) == ((*shape, 3), dtype)
+        np.testing.assert_allclose(result, image, rtol=0, atol=rounding(algorithm, dtype), err_msg=str((shape, dtype)))
 
 
 @every_colour_filter
 @every_pattern
-@every_type
-@pytest.mark.parametrize("linear", [False, True])
-def test_the_samples_themselves_come_back(algorithm, pattern, dtype, linear):
-    mosaic = random_mosaic((19, 22), dtype)
-    result = demosaic(mosaic, pattern, algorithm, linear=linear)
-    np.testing.assert_allclose(sampled(result, pattern), mosaic, rtol=0, atol=rounding(algorithm, dtype))
+def test_the_samples_themselves_come_back(algorithm, pattern):
+    for dtype, linear in product(PEAK, [False, True]):
+        mosaic = random_mosaic((19, 22), dtype)
+        result = sampled(demosaic(mosaic, pattern, algorithm, linear=linear), pattern)
+        atol = rounding(algorithm, dtype)
+        np.testing.assert_allclose(result, mosaic, rtol=0, atol=atol, err_msg=str((dtype, linear)))
 
 
 @given(
@@ -89,24 +90,22 @@ def test_a_mosaic_without_its_first_row_or_column_gives_the_same_colours(algorit
 
 @every_colour_filter
 @every_type
-@pytest.mark.parametrize("linear", [False, True])
-def test_threads_change_no_bit(algorithm, dtype, linear):
+def test_threads_change_no_bit(algorithm, dtype):
     mosaic = sampled((scene((300, 71)) * PEAK[dtype]).astype(dtype), "GBRG")
-    alone = demosaic(mosaic, "GBRG", algorithm, linear=linear)
-    together = demosaic(mosaic, "GBRG", algorithm, linear=linear, each=by_threads)
-    np.testing.assert_array_equal(alone, together)
+    for linear in (False, True):
+        alone = demosaic(mosaic, "GBRG", algorithm, linear=linear)
+        together = demosaic(mosaic, "GBRG", algorithm, linear=linear, each=by_threads)
+        np.testing.assert_array_equal(alone, together)
 
 
 @every_colour_filter
 @every_pattern
-@every_type
-@pytest.mark.parametrize("linear", [False, True])
-def test_nothing_is_above_white_however_hard_the_edges(algorithm, pattern, dtype, linear):
-    white = 0.75 * PEAK[dtype]
-    mosaic = (np.random.default_rng(7).integers(0, 2, (24, 26)) * PEAK[dtype]).astype(dtype)
-    result = demosaic(mosaic, pattern, algorithm, white=white, linear=linear)
-    assert result.max() <= white
-    assert sampled(result, pattern)[mosaic > 0].min() == result.max()
+def test_nothing_is_above_white_however_hard_the_edges(algorithm, pattern):
+    for (dtype, peak), linear in product(PEAK.items(), [False, True]):
+        mosaic = (np.random.default_rng(7).integers(0, 2, (24, 26)) * peak).astype(dtype)
+        result = demosaic(mosaic, pattern, algorithm, white=0.75 * peak, linear=linear)
+        assert result.max() <= 0.75 * peak, (dtype, linear)
+        assert sampled(result, pattern)[mosaic > 0].min() == result.max(), (dtype, linear)
 
 
 @pytest.mark.parametrize("algorithm", ["auto", "ri", "malvar", "bilinear", "vng"])
@@ -168,14 +167,14 @@ def means_of_neighbours(mosaic, pattern, colours):
 
 
 @every_pattern
-@every_type
 @pytest.mark.parametrize("shape", SIZES)
-def test_bilinear_colours_are_the_means_of_their_nearest_samples(pattern, shape, dtype):
-    mosaic = random_mosaic(shape, dtype)
-    # integers round to the nearest; float32 sums of four carry a few units in the last place
-    tolerance = 0.5 if dtype != np.float32 else 1e-6
-    result = demosaic(mosaic, pattern, "bilinear")
-    np.testing.assert_allclose(result, means_of_neighbours(mosaic, pattern, "BGR"), rtol=0, atol=tolerance)
+def test_bilinear_colours_are_the_means_of_their_nearest_samples(pattern, shape):
+    for dtype in PEAK:
+        mosaic = random_mosaic(shape, dtype)
+        # integers round to the nearest; float32 sums of four carry a few units in the last place
+        tolerance = 0.5 if dtype != np.float32 else 1e-6
+        result = demosaic(mosaic, pattern, "bilinear")
+        np.testing.assert_allclose(result, means_of_neighbours(mosaic, pattern, "BGR"), rtol=0, atol=tolerance)
 
 
 def test_a_linear_ramp_is_exact_inside_by_linear_filters():

@@ -74,7 +74,6 @@ def test_a_board_in_a_robots_hand_is_met_to_a_fraction_of_a_pixel(real_data, tmp
     ("images", "board"),
     [
         ("chessboard/boofcv-sony-hx5v-chess/frame*.jpg", "chessboard:6x4:30mm"),
-        ("chessboard/opencv-left-right/left*.jpg", "chessboard:9x6:25mm"),
         ("charuco/photonvision-2024-06-19_lifecam_1280_Old_Pattern/*.jpg", "charuco:8x8:25.4mm:19.05mm:DICT_4X4_1000"),
     ],
 )

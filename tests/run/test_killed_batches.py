@@ -1,13 +1,14 @@
 """Runs of every command that works on many items, killed at any moment: afterwards every output is absent or whole, and
 `--resume` completes to the bytes of a run without interruption.
 
-CAMCAL_KILLS: how many times each command is killed, by default a few.
+CAMCAL_KILLS: how many times each command is killed, by default once, each at another part of its time.
 """
 
 import json
 import os
 import shutil
 import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -15,7 +16,7 @@ import numpy as np
 import pytest
 from batch_scenes import BOARD, COMMANDS, SIMULATION, contents, draw_scene
 
-KILLS = int(os.environ.get("CAMCAL_KILLS", "3"))
+KILLS = int(os.environ.get("CAMCAL_KILLS", "1"))
 
 # Starts runs as copies of itself, for libraries are then imported once; one after another, from lines of JSON.
 SERVER = """
@@ -45,11 +46,10 @@ for line in sys.stdin:
     print(json.dumps([os.waitstatus_to_exitcode(status), time.monotonic() - began]), flush=True)
 """
 
-UNDISTORT = ("cli.calibrate", "tasks.calibration.undistort")
-OTHERS = (
+MODULES = (
     *("cli.poses", "cli.raw", "cli.calibrate", "cli.stereo", "tasks.calibration.calibrate"),
     *("tasks.calibration.detect", "tasks.stereo.clouds", "tasks.stereo.stereo_disparity", "tasks.stereo.stereo_run"),
-    "tasks.stereo.rectify",
+    *("tasks.stereo.rectify", "tasks.calibration.undistort"),
 )
 
 Run = Callable[..., tuple[int, float]]
@@ -63,12 +63,20 @@ def scene(tmp_path_factory):
     return folder
 
 
+@pytest.fixture(scope="module")
+def server(scene):
+    """The process that starts runs in the folder of the scene; it ends with what it started."""
+    command = [sys.executable, "-c", SERVER, *MODULES]
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+    with subprocess.Popen(command, cwd=scene, text=True, start_new_session=True, **pipes) as process:
+        yield process
+        process.stdin.close()
+
+
 @pytest.fixture
-def run(request, start_python, scene, monkeypatch):
+def run(server, scene, monkeypatch):
     """Start a run of camcal in the folder of the scene; it is killed after some seconds, if these are given."""
     monkeypatch.chdir(scene)
-    modules = (*UNDISTORT, *OTHERS) if request.node.get_closest_marker("slow") else UNDISTORT
-    server = start_python("-c", SERVER, *modules, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
 
     def call(*arguments, kill_after=None):
         server.stdin.write(json.dumps([list(map(str, arguments)), kill_after]) + "\n")
@@ -76,8 +84,7 @@ def run(request, start_python, scene, monkeypatch):
         code, seconds = json.loads(server.stdout.readline())
         return code, seconds
 
-    yield call
-    server.stdin.close()
+    return call
 
 
 def modified():
@@ -85,7 +92,7 @@ def modified():
     return {path: Path("out", path).stat().st_mtime_ns for path in contents()}
 
 
-def kill_and_resume(run, arguments, kills):
+def kill_and_resume(run, arguments, kills, seed):
     """Kill as many runs, each at a random moment of its own part of the time that a run takes, and resume them.
 
     The time is that of the fastest run so far, and runs that ended before they were killed do not count: the first run
@@ -95,7 +102,7 @@ def kill_and_resume(run, arguments, kills):
     code, seconds = run(*arguments, "--jobs", 1, "--resume")
     assert code == 0, Path("run.log").read_text()
     whole = contents()
-    rng = np.random.default_rng(7)
+    rng = np.random.default_rng(seed)
     killed = 0
     while killed < kills:
         shutil.rmtree("out", ignore_errors=True)
@@ -110,20 +117,13 @@ def kill_and_resume(run, arguments, kills):
         assert contents() == whole
 
 
-def test_undistort_killed_at_any_moment_is_completed_to_the_same_bytes(run):
-    kill_and_resume(run, COMMANDS["undistort"], 2)
-    before = modified()
-    assert run(*COMMANDS["undistort"], "--resume")[0] == 0
-    assert modified() == before
-    assert "nothing to do: 12 images complete and unchanged" in Path("run.log").read_text()
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize(
+    "command", [name if name == "undistort" else pytest.param(name, marks=pytest.mark.slow) for name in COMMANDS]
+)
 def test_a_command_killed_at_any_moment_is_completed_to_the_same_bytes(run, command):
     if BOARD in COMMANDS[command] and not Path("views").exists():
         assert run(*SIMULATION)[0] == 0
-    kill_and_resume(run, COMMANDS[command], KILLS)
+    kill_and_resume(run, COMMANDS[command], KILLS, list(COMMANDS).index(command))
     before = modified()
     assert run(*COMMANDS[command], "--resume")[0] == 0
     assert modified() == before

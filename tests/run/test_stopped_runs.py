@@ -141,7 +141,7 @@ def test_killed_parents_leave_no_half_file_no_orphan_and_no_litter(start_python,
         cv2.imwrite(str(folder / f"{number}.pgm"), rng.integers(0, 65000, (240, 320)).astype(np.uint16))
     detect = ["-m", "camcal", "detect", folder, "-b", "chessboard:7x5:25mm", "-o", tmp_path / "d.csv", "--jobs", "2"]
     orphans = 0
-    for turn in range(int(os.environ.get("CAMCAL_KILLS", "20"))):
+    for turn in range(int(os.environ.get("CAMCAL_KILLS", "8"))):
         process = start_python(*(arguments(folder, "--jobs", "2") if turn % 2 else detect))
         if turn % 4 == 1:
             wait_for(folder, TEMPORARY)
