@@ -9,7 +9,6 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.cameras.model import Camera
 from camcal.geometry import rotation as so3
-from camcal.opencv import convex_hull
 
 _FEWEST = 10  # pixels that a rotation is fitted to
 _FLAT = 1e-6  # px, the width of a hull that is a line
@@ -85,6 +84,8 @@ def in_hull(pixels: Array, observed: Array) -> Array:
     """Return which pixels (N, 2) lie in the convex hull of others (M, 2): none if these are on one line."""
     if len(observed) < 3:
         return np.zeros(len(pixels), bool)
+    from camcal.opencv import convex_hull  # what reads a camera file only needs no OpenCV
+
     corners = observed[convex_hull(observed)]
     sides = np.roll(corners, -1, axis=0) - corners
     area = np.sum(corners[:, 0] * np.roll(corners[:, 1], -1) - corners[:, 1] * np.roll(corners[:, 0], -1))
