@@ -5,7 +5,11 @@ nesting, or damage inside of its checksums and archives. Each goes through the c
 limited in memory and time. Every violation is printed with the seed that repeats it: another exit code than the
 documented ones, a traceback, lines that are not camcal's own, a file left behind, too much memory or time.
 
+With --numbers N every N-th case of another kind is run: each number of the text files is 0, ±1e-300 … ±1e300. Then a
+usage error that does not name the file, and more than 5 s of the processor, are violations too.
+
     python benchmarks/fuzz.py [--cases 10000] [--seed 1] [--only "stereo cloud"] [--keep FOLDER] [--jobs 1]
+    python benchmarks/fuzz.py --numbers 7
 """
 
 import argparse
@@ -15,9 +19,10 @@ import sys
 import tempfile
 import time
 from collections import Counter, defaultdict
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "untrusted"))
 
@@ -40,6 +45,14 @@ def outcome(folder: Path, seed: int | None, only: str, number: int) -> tuple[Cas
         return each, untrusted_run.run(each, good, room, FULL)
     each = untrusted_run.case(good, reader, seed * 1_000_003 + number)
     return each, untrusted_run.run(each, good, room)
+
+
+def outcome_of_number(folder: Path, work: tuple[int, Reader, tuple[int, int], float]) -> tuple[Case, Ended]:
+    """Return a case of an absurd number and how its command ended."""
+    room = folder / str(os.getpid()) / "case"
+    room.parent.mkdir(exist_ok=True)
+    each = untrusted_run.case_of_number(folder / "good", *work)
+    return each, untrusted_run.run(each, folder / "good", room)
 
 
 def kind(name: str) -> str:
@@ -76,6 +89,24 @@ def _row(cells: Iterable[str]) -> str:
     return f"| {' | '.join(cells)} |"
 
 
+def planned(options: argparse.Namespace, folder: Path) -> tuple[Callable[..., tuple[Case, Ended]], Iterable[Any]]:
+    """Return what to run, and on what."""
+    if options.numbers:
+        cases = untrusted_run.cases_of_numbers(folder / "good", options.only)
+        numbered = [(number, *each) for number, each in enumerate(cases)]
+        return partial(outcome_of_number, folder), numbered[options.seed % options.numbers :: options.numbers]
+    seed = None if options.full_disk else options.seed
+    count = len(untrusted_run.readers_of(options.only)) if options.full_disk else options.cases
+    return partial(outcome, folder, seed, options.only), range(count)
+
+
+def faults(options: argparse.Namespace, case: Case, ended: Ended) -> list[str]:
+    """Return what a command did wrong, by what it was run for."""
+    if options.numbers:
+        return untrusted_run.violations_of_number(case, ended)
+    return untrusted_run.violations_of_full_disk(ended) if options.full_disk else untrusted_run.violations(ended)
+
+
 def main() -> int:
     """Run cases, print what is wrong and the tables, and return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -86,6 +117,7 @@ def main() -> int:
     parser.add_argument(
         "--full-disk", action="store_true", help="good files, each once, and no file grows beyond 600 B"
     )
+    parser.add_argument("--numbers", type=int, metavar="N", help="every N-th of the cases of absurd numbers in texts")
     parser.add_argument("--jobs", type=int, default=1)
     options = parser.parse_args()
     started = time.monotonic()
@@ -96,13 +128,10 @@ def main() -> int:
         tempfile.TemporaryDirectory() as folder,
         multiprocessing.get_context("fork").Pool(options.jobs, os.setsid) as pool,
     ):
-        work = partial(outcome, Path(folder), None if options.full_disk else options.seed, options.only)
-        count = len(untrusted_run.readers_of(options.only)) if options.full_disk else options.cases
-        faults = untrusted_run.violations_of_full_disk if options.full_disk else untrusted_run.violations
         untrusted_run.make_good_files(Path(folder) / "good")
-        for each, ended in pool.imap(work, range(count)):
+        for each, ended in pool.imap(*planned(options, Path(folder))):
             runs.append((each.reader, ended))
-            for fault in faults(ended):
+            for fault in faults(options, each, ended):
                 wrong += 1
                 print(f"{each.reader.name} | {each.mutation} | seed {each.seed}: {fault}", file=sys.stderr, flush=True)
                 if options.keep:

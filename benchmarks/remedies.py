@@ -4,7 +4,8 @@ Every kind of bad set is simulated with several seeds and calibrated as `camcal 
 4) or the reasons of the verdict advise is then done in the simulation: more views, tilted or in the corners of the
 image; leaving out the images that are named; the lens models that are proposed; the right board; each group by itself.
 Per kind: sets, how many were trusted as they were, what was said of the others (codes of criteria, "refused" with the
-first words), the remedy that was named, and how many are trusted after it, with fx within 1 % of the truth.
+first words), the remedy that was named, and how many are trusted after it, with fx within 1 % of the truth; and what a
+refusal or distrust costs: CPU time over that of a calibration from as many good views, the median and the largest.
 
     python benchmarks/remedies.py [--seeds 8] [--only KIND]
 """
@@ -12,6 +13,7 @@ first words), the remedy that was named, and how many are trusted after it, with
 import argparse
 import os
 import re
+import time
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
@@ -161,11 +163,12 @@ KINDS: dict[str, Callable[[int], Set]] = {
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of a calibration: the codes of failures or how it was refused, and all that was said."""
+    """What came of a calibration: the codes of failures or how it was refused, all that was said, CPU seconds."""
 
     calibration: Calibration | None
     codes: tuple[str, ...]
     said: str
+    seconds: float = 0.0
 
     @property
     def trusted(self) -> bool:
@@ -176,13 +179,22 @@ def outcome(given: Set) -> Outcome:
     """Calibrate as `camcal calibrate` does."""
     names = name_groups([view.image for view in given.views])
     how = Options(model_named(given.model or DEFAULT_MODEL), (), None, ShapeOptions(), given.max_rejected, names)
+    start = time.process_time()
     try:
         selection = (select if given.model is None else solve_given)(given.views, given.board, how)
     except CamcalError as error:
-        return Outcome(None, (f"refused: {_kind(error.message)}",), error.message)
+        words = f"refused: {_kind(error.message)}"
+        return Outcome(None, (words,), error.message, time.process_time() - start)
     found, assessment = selection.calibration, selection.assessment
     codes = tuple(own.code for own in assessment.failures)
-    return Outcome(found, codes, "; ".join(own.text for own in assessment.messages))
+    return Outcome(found, codes, "; ".join(own.text for own in assessment.messages), time.process_time() - start)
+
+
+def cost(given: Set, first: Outcome, seed: int) -> float:
+    """Return the time of an outcome over that of a calibration from as many good views, with the model or without."""
+    count = max(len({view.image for view in given.views}), 3)
+    good = Set(tuple(shots(given.camera, count, seed + 2000)), given.camera)
+    return first.seconds / outcome(good).seconds
 
 
 def _kind(message: str) -> str:
@@ -262,12 +274,14 @@ def main() -> None:
     parser.add_argument("--only", help="kinds whose name holds this")
     arguments = parser.parse_args()
     total: Counter[str] = Counter()
+    all_costs: list[float] = []
     for kind, made in KINDS.items():
         if arguments.only and arguments.only not in kind:
             continue
         codes: Counter[str] = Counter()
         words: Counter[str] = Counter()
         counts: Counter[str] = Counter()
+        costs: list[float] = []
         for seed in range(arguments.seeds):
             given = made(seed)
             first = outcome(given)
@@ -276,6 +290,7 @@ def main() -> None:
                 counts["trusted wrongly"] += not close(first)
                 continue
             codes.update(first.codes)
+            costs.append(cost(given, first, seed))
             steps, ends = followed(given, first, seed)
             words[", ".join(steps)] += 1
             counts["bad"] += 1
@@ -284,14 +299,19 @@ def main() -> None:
                 if not end.trusted:
                     print("   ", seed, steps, end.codes, end.said[:300])
         total.update(counts)
+        all_costs += costs
         said = ", ".join(f"{code} {number}" for code, number in codes.most_common())
         steps_of = "; ".join(f"{word} {number}" for word, number in words.most_common())
         print(
             f"{kind:26} {arguments.seeds} sets, {counts['trusted']} trusted ({counts['trusted wrongly']} wrongly); "
-            f"{said} -> {steps_of}: {counts['after']} of {counts['bad']} trusted",
+            f"{said} -> {steps_of}: {counts['after']} of {counts['bad']} trusted; "
+            f"cost {np.median(costs or [0]):.2f} ({max(costs, default=0):.2f})",
             flush=True,
         )
-    print(f"all: {total['after']} of {total['bad']} refusals and distrusts trusted after what was advised")
+    print(
+        f"all: {total['after']} of {total['bad']} refusals and distrusts trusted after what was advised; "
+        f"cost {np.median(all_costs):.2f} ({max(all_costs):.2f}), {np.mean(np.array(all_costs) <= 1.5):.0%} up to 1.5"
+    )
 
 
 if __name__ == "__main__":

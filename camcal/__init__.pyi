@@ -98,6 +98,8 @@ from camcal.tasks.library import Undistorted as Undistorted
 from camcal.tasks.library import calibrate_camera as calibrate_camera
 from camcal.tasks.library import calibrate_rig as calibrate_rig
 from camcal.tasks.library import detect_board as detect_board
+from camcal.tasks.library import locate_board as locate_board
+from camcal.tasks.library import measure_corners as measure_corners
 from camcal.tasks.library import point_cloud as point_cloud
 from camcal.tasks.library import rectify_pair as rectify_pair
 from camcal.tasks.library import undistort_image as undistort_image
@@ -173,8 +175,10 @@ __all__ = [
     "fit_curve",
     "load_board",
     "load_tags",
+    "locate_board",
     "make_view",
     "match_pair",
+    "measure_corners",
     "model_named",
     "plan_rectification",
     "point_cloud",

@@ -12,6 +12,7 @@ from camcal.parsing import nearest
 
 _SEED_LIMIT = 1 << 31
 LONGEST_REMAPPED = 32766  # pixels; cv2.remap refuses images and maps with a longer side
+_SINGLE_TREE = 4  # FLANN_INDEX_KDTREE_SINGLE
 _KERNEL = 8  # pixels around a position that no interpolation goes beyond
 
 
@@ -108,6 +109,32 @@ def sampled(image: Array, x: Array, y: Array) -> Array:
     x, y = (np.ascontiguousarray(places, dtype=np.float32) for places in (x, y))
     values = remap(image, x.reshape(shape), y.reshape(shape))
     return np.asarray(values, dtype=np.float32).reshape(x.shape)
+
+
+def largest_region(mask: Array) -> Array:
+    """Return the largest 4-connected region (H, W) bool of a mask, its holes filled; empty as that of an empty mask."""
+    regions = cv2.connectedComponents(mask.astype(np.uint8), connectivity=4)[1]
+    if not regions.any():
+        return np.zeros(mask.shape, bool)
+    largest = 1 + int(np.argmax(np.bincount(regions.ravel())[1:]))
+    filled = np.pad((regions == largest).astype(np.uint8), 1)
+    cv2.floodFill(filled, None, (0, 0), (2,), flags=4)  # all around it
+    return np.asarray(filled[1:-1, 1:-1] != 2)
+
+
+def convex_hull(points: Array) -> Array:
+    """Return which of points (N, 2) are the corners of their convex hull, in turn; those of single precision."""
+    return np.asarray(cv2.convexHull(points.astype(np.float32), returnPoints=False)).ravel()
+
+
+def nearest_points(points: Array, count: int) -> tuple[Array, Array]:
+    """Return the distances (N, count) of points (N, 2) from the nearest of them, themselves first, and which these are.
+
+    One tree, searched to the end: as exact as SciPy's, which takes longer to import than many images to search.
+    """
+    tree = cv2.flann.Index(np.ascontiguousarray(points, np.float32), {"algorithm": _SINGLE_TREE, "leaf_max_size": 10})
+    which, squared = tree.knnSearch(np.ascontiguousarray(points, np.float32), count, params={"checks": -1})
+    return np.sqrt(squared.astype(np.float64)), which.astype(np.intp)
 
 
 def marker_dictionary(name: str) -> cv2.aruco.Dictionary:

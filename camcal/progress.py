@@ -1,6 +1,8 @@
 """Progress reports, and the outcome of one item of a fan-out."""
 
-from collections.abc import Iterable
+import time
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Generic, Protocol, TypeVar
 
@@ -48,6 +50,48 @@ class Collected(Silent):
 
 
 SILENT = Silent()
+
+
+@dataclass
+class Timing:
+    """How long a stage of work took: wall-clock time and the processor time of this process, s."""
+
+    wall_s: float = 0.0
+    cpu_s: float = 0.0
+
+
+class Timed:
+    """Passes the progress on, and notes in `timings` how long each stage takes, under its name."""
+
+    def __init__(self, progress: Progress, timings: dict[str, Timing]) -> None:
+        self.progress, self.timings = progress, timings
+        self.stage, self.began = "", (0.0, 0.0)
+
+    def start(self, what: str, total: int | None) -> None:
+        self.stage, self.began = what, (time.perf_counter(), time.process_time())
+        self.progress.start(what, total)
+
+    def advance(self, count: int = 1) -> None:
+        self.progress.advance(count)
+
+    def finish(self) -> None:
+        timing = self.timings.setdefault(self.stage, Timing())
+        timing.wall_s += time.perf_counter() - self.began[0]
+        timing.cpu_s += time.process_time() - self.began[1]
+        self.progress.finish()
+
+    def warn(self, message: Message) -> None:
+        self.progress.warn(message)
+
+
+@contextmanager
+def stage(progress: Progress, what: str) -> Iterator[None]:
+    """Report a stage of work that has no items."""
+    progress.start(what, None)
+    try:
+        yield
+    finally:
+        progress.finish()
 
 
 def warn_of(messages: Iterable[Message], progress: Progress) -> None:

@@ -35,6 +35,18 @@ FolderId = tuple[int, int]
 Known = dict[Path, FolderId] | None  # None outside of a run
 
 KNOWN: ContextVar[Known] = ContextVar("folders", default=None)  # of the run at work
+_LOCKED: set[int] = set()  # handles of this process by which it keeps locks
+
+
+def release_locks() -> None:
+    """Close the handles that a process was forked with: locks are those of its parent, and end with that."""
+    while _LOCKED:
+        os.close(_LOCKED.pop())
+
+
+def _close(handle: int) -> None:
+    _LOCKED.discard(handle)
+    os.close(handle)
 
 
 def lock(handle: int) -> None:
@@ -50,7 +62,8 @@ def held(path: Path) -> Iterator[None]:
         for access in (os.O_RDONLY, os.O_RDWR):  # NFS locks nothing that is opened for reading only
             try:
                 handle = os.open(path, access | _WITHOUT_WAITING)
-                opened.callback(os.close, handle)
+                _LOCKED.add(handle)
+                opened.callback(_close, handle)
                 lock(handle)
                 break
             except BlockingIOError:
@@ -72,7 +85,8 @@ def made_and_held(path: Path) -> Iterator[None]:
                 handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | _WITHOUT_WAITING, 0o600)
             except OSError:
                 break
-            opened.callback(os.close, handle)
+            _LOCKED.add(handle)
+            opened.callback(_close, handle)
             try:
                 lock(handle)
             except BlockingIOError:
@@ -105,12 +119,13 @@ def locked(folder: Path) -> Iterator[None]:
         yield
         return
     handle = os.open(folder, os.O_RDONLY)
+    _LOCKED.add(handle)
     try:
         with suppress(OSError):  # a file system without locks
             fcntl.flock(handle, fcntl.LOCK_EX)
         yield
     finally:
-        os.close(handle)
+        _close(handle)
 
 
 def open_to_read(path: Path, *, follow: bool = True) -> int:

@@ -14,7 +14,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import chdtrc
 
 from camcal.arrays import Array, FloatArray, readonly
 from camcal.calibrate.intrinsics import Calibration
@@ -249,6 +248,8 @@ def _simplest(problem: _LensProblem, full: Solution[Array], main_sigma: float) -
     main_sigma: the noise of the main camera's corners. The errors of its lens lie where this lens can follow them, so
     that along its parameters both noises add up.
     """
+    from scipy.special import chdtrc
+
     names = problem.model.parameter_names
     share = problem.sigma**2 / (problem.sigma**2 + main_sigma**2)
     for stage in problem.model.colour_stages:

@@ -17,6 +17,8 @@ from camcal.calibrate.noise import REJECTED
 from camcal.calibrate.problem import POSE, BoardProblem
 from camcal.calibrate.refusals import (
     MIN_VIEWS,
+    ROUGH,
+    Misfit,
     misfit,
     require_fit,
     require_focal,
@@ -179,8 +181,10 @@ def solve(
             brief, turns = _fit_briefly(Observations.of(usable), board, size, options)
         else:
             brief, turns = start.plain, start.turns
-        plain, turns = fit_plain(brief, turns, options.shape)
         images = [view.image for view in usable]
+        if (found := _misfit(brief, options)).roughness > ROUGH:  # no lens and no further pass makes that board fit
+            require_fit(found, images, options.max_rejected, options.model.name)
+        plain, turns = fit_plain(brief, turns, options.shape)
         cameras = two_cameras(plain, images, size, options.shape, options.named_groups)
         if plain.converged:  # before errors within views are modelled, which would take long for a wrong lens
             _require_plausible(plain, images, options, len(detections), cameras)
@@ -202,10 +206,14 @@ def solve(
 
 
 def compare_models(
-    detections: Sequence[BoardDetection], board: Board, options: Options, models: Sequence[CameraModel]
+    detections: Sequence[BoardDetection],
+    board: Board,
+    options: Options,
+    models: Sequence[CameraModel],
+    start: CalibrationFit | None = None,
 ) -> tuple[CandidateModel, ...]:
     """Return how well lens models predict views, in their order, each with a brief calibration, which takes errors
-    within views for noise; options.model does not matter.
+    within views for noise; options.model does not matter. start: the brief fit of another model to go on from.
 
     Raises InsufficientData for too few views.
     """
@@ -214,7 +222,7 @@ def compare_models(
     observations = Observations.of(usable)
     corners = int(observations.present.sum())
     result: list[CandidateModel] = []
-    plausible: CalibrationFit | None = None
+    plausible = start
     for own in (replace(options, model=model) for model in models):
         name = own.model.name
         try:
@@ -291,13 +299,15 @@ def _require_plausible(
     images: of its views; total: how many there were to begin with.
     """
     problem, state = fit.problem, fit.state
-    residuals = problem.residuals(state)
-    used = _kept(problem, residuals).any(axis=1)
+    used = _kept(problem, problem.residuals(state)).any(axis=1)
     if used.sum() >= MIN_VIEWS:
         require_tilts(state.rotations[used])
-    found = misfit(problem, state, residuals, options.max_rejected)
-    require_fit(found, images, options.max_rejected, options.model.name, cameras)
+    require_fit(_misfit(fit, options), images, options.max_rejected, options.model.name, cameras)
     require_views(int(used.sum()), total, 0)
+
+
+def _misfit(fit: CalibrationFit | Estimate, options: Options) -> Misfit:
+    return misfit(fit.problem, fit.state, fit.problem.residuals(fit.state), options.max_rejected)
 
 
 def _kept(problem: BoardProblem, residuals: Array) -> Array:

@@ -31,7 +31,8 @@ _WRONG_VIEW = 0.5  # of its corners
 _TWO_CAMERAS = 2.0
 # The median corner's distance from a smooth map of its view, in squares: real boards, seen by any lens, stay below
 # 0.04; corners numbered for another board are off by more than one.
-_ROUGH, _DEGREE, _FEW = 0.3, 3, 16  # of the polynomial; corners of a view
+ROUGH, _DEGREE, _FEW = 0.3, 3, 16  # of the polynomial; corners of a view
+_OUTWARDS = 0.8  # probability: wrong corners are anywhere (0.5), those that a lens model does not reach are outside (1)
 
 MIN_VIEWS = 3
 MIN_CORNERS = 6
@@ -44,7 +45,8 @@ _MAX_FOCAL_ERROR = 0.05
 class Misfit:
     """distances: (V, P) px between corners and their projections, inf without one. sides: (V,) px of a square.
     roughness: see `roughness`, where too many corners are wrong or the median is too large; smoothness: of residuals,
-    see `smoothness`, likewise: it tells a lens model that does not fit from corners that are wrong.
+    see `smoothness`, likewise: it tells a lens model that does not fit from corners that are wrong, and so does
+    outwards: the probability that a wrong corner is farther from the principal point than one that is not.
     """
 
     distances: Array
@@ -52,6 +54,7 @@ class Misfit:
     present: Array
     roughness: float = np.nan
     smoothness: float = np.nan
+    outwards: float = np.nan
 
     @property
     def gross(self) -> Array:
@@ -92,7 +95,12 @@ def misfit(problem: BoardProblem, state: State, residuals: Array, most: float = 
     found = Misfit(distances, np.sqrt(np.nanmedian(areas, axis=1)), present)
     if found.share > most or found.median_px > found.median_limit_px:
         smooth = smoothness(problem, state, present.astype(float))
-        return replace(found, roughness=roughness(problem), smoothness=smooth)
+        centre = state.parameters[[problem.model.parameter_names.index(name) for name in ("cx", "cy")]]
+        radii = np.hypot(*(problem.observations.pixels[:, present].T - centre).T)
+        wrong, right = radii[found.gross[present]], np.sort(radii[~found.gross[present]])
+        # Mann and Whitney, On a test of whether one of two random variables is stochastically larger, 1947
+        outwards = float(np.searchsorted(right, wrong).mean() / len(right)) if len(wrong) and len(right) else np.nan
+        return replace(found, roughness=roughness(problem), smoothness=smooth, outwards=outwards)
     return found
 
 
@@ -133,26 +141,31 @@ def require_fit(
     )
     if np.isfinite(found.median_px):
         how += f", the median by {px_words(found.median_px)} (limit {px_words(found.median_limit_px)})"
+    order = "corner ids are consistent"
+    if found.roughness <= ROUGH and found.outwards > _OUTWARDS:
+        text = (
+            f"{how}: {order} and the wrong ones are far from the image centre, so the lens model ({model}) does not fit"
+        )
+        raise _refused("lens_model_does_not_fit", text)
     require_one_camera(cameras, how)
     wrong = gross.sum(axis=1) > _WRONG_VIEW * found.present.sum(axis=1)
     if 0 < wrong.sum() <= len(wrong) / 2 and gross[~wrong].sum() <= most * found.present[~wrong].sum():
         names = names_of([images[index] for index in np.flatnonzero(wrong).tolist()])
         text = f"{how}: {int(wrong.sum())} of {len(wrong)} views rejected (other order of ids, board or camera)"
         raise _refused("inconsistent_views", f"{text}: leave out {names}", {"views": int(wrong.sum())})
-    order = "corner ids are consistent"
-    if found.roughness <= _ROUGH and found.smoothness > SMOOTH:
+    if found.roughness <= ROUGH and found.smoothness > SMOOTH:
         text = f"{how}: {order} and residuals vary smoothly, so the lens model ({model}) does not fit"
         raise _refused("lens_model_does_not_fit", text)
     if found.median_px <= found.median_limit_px:
         text = "board and lens model fit most corners, but many views have wrong corners: check them with"
         text = f"{how}: {text} camcal detect --draw, use sharper images, or set --max-rejected"
         raise _refused("wrong_corners", text, {"share": share, "limit": most})
-    if found.roughness <= _ROUGH and found.smoothness > 0:
+    if found.roughness <= ROUGH and found.smoothness > 0:
         text = (
             f"{how}: {order} and residuals are random, as in blurred images: use sharper images, and check the corners"
         )
         raise _refused("blurred_images", f"{text} with camcal detect --draw")
-    if found.roughness <= _ROUGH:
+    if found.roughness <= ROUGH:
         text = f"{how}: {order}, so the lens model ({model}) does not fit, or images are blurred: use sharper images"
         raise _refused("lens_model_or_blur", text)
     text = (

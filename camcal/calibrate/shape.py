@@ -12,7 +12,7 @@ lens, poses and the board's smooth shape; of a large board each point has a smal
 for the points and for everything else soon leads to the same minimum.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -63,48 +63,65 @@ def scale_of(information: Array, vector: Array, median: float, spread: float) ->
     information: Λ (k, k) or, where coefficients are independent, its diagonal (k,). vector: g (k,). median, spread: of
     the log-normal distribution.
     """
-    if information.ndim == 2:
-        values, vectors = np.linalg.eigh(information)
-        vector = vectors.T @ vector
-    else:
-        values = information
-    values = np.maximum(values, 1e-300)
-    scales = median * np.exp(spread * _WITHIN)
+    return scales_of([information], [vector], np.array([median]), np.array([spread]))[0]
+
+
+def scales_of(informations: Sequence[Array], vectors: Sequence[Array], medians: Array, spreads: Array) -> list[Scale]:
+    """Return the scales of C classes of coefficients, as `scale_of` has each, side by side: one alone would be many
+    operations on few numbers.
+    """
+    values = np.full((len(vectors), max(map(len, vectors))), 1e-300)
+    turned, used = np.zeros(values.shape), np.zeros(values.shape)
+    for row, (information, vector) in enumerate(zip(informations, vectors, strict=True)):
+        own = slice(len(vector))
+        used[row, own] = 1.0
+        if information.ndim == 2:
+            information, axes = np.linalg.eigh(information)  # noqa: PLW2901 - its axes
+            turned[row, own] = axes.T @ vector
+        else:
+            turned[row, own] = vector
+        values[row, own] = np.maximum(information, 1e-300)
+    scales = medians[:, None] * np.exp(spreads[:, None] * _WITHIN)
     weights = np.exp(-0.5 * _WITHIN**2)
     weights /= weights.sum()
-    evidence = _evidence(values, vector, scales)
-    top = max(float(evidence.max()), 0.0)
-    slab = weights * np.exp(evidence - top)
-    spike = np.exp(-top)
-    share = slab / (slab.sum() + spike)
-    present = float(share.sum())
-    mean = float(share @ scales)
-    std = float(np.sqrt(max(share @ scales**2 - mean**2, 0.0)))
-    length = float(np.linalg.norm(vector))
-    direction = vector / length if length > 0 else np.ones_like(vector)  # shrinkage does not depend on the length
-    wanted = float(np.sum(values * (_estimates(values, direction, scales) @ share) ** 2))
-    reached = _fitted(values, direction, median * np.exp(_COARSE))
-    step = int(np.clip(np.searchsorted(reached, wanted), 1, len(_COARSE) - 1))
-    trial = median * np.exp(np.linspace(_COARSE[step - 1], _COARSE[step], _PARTS + 1))
-    reached = np.maximum(_fitted(values, direction, trial), 1e-300)
-    effective = np.interp(np.log(max(wanted, 1e-300)), np.log(reached), np.log(trial))
-    return Scale(float(np.exp(effective)), mean, std, present)
+    evidence = _evidence(values, turned, scales)
+    top = np.maximum(evidence.max(axis=1, keepdims=True), 0.0)
+    slab, spike = weights * np.exp(evidence - top), np.exp(-top)
+    share = slab / (slab.sum(axis=1, keepdims=True) + spike)
+    mean = (share * scales).sum(axis=1)
+    std = np.sqrt(np.maximum((share * scales**2).sum(axis=1) - mean**2, 0.0))
+    length = np.linalg.norm(turned, axis=1, keepdims=True)
+    # shrinkage does not depend on the length
+    direction = np.where(length > 0, turned / np.where(length > 0, length, 1.0), used)
+    kept = (_estimates(values, direction, scales) @ share[:, :, None])[:, :, 0]
+    wanted = np.sum(values * kept**2, axis=1)
+    reached = _fitted(values, direction, medians[:, None] * np.exp(_COARSE))
+    step = np.clip((reached < wanted[:, None]).sum(axis=1), 1, len(_COARSE) - 1)
+    parts = np.linspace(_COARSE[step - 1], _COARSE[step], _PARTS + 1, axis=1)
+    trial = medians[:, None] * np.exp(parts)
+    reached = np.log(np.maximum(_fitted(values, direction, trial), 1e-300))
+    sought, trial = np.log(np.maximum(wanted, 1e-300)), np.log(trial)
+    effective = [np.exp(np.interp(*each)) for each in zip(sought, reached, trial, strict=True)]
+    figures = zip(effective, mean, std, share.sum(axis=1), strict=True)
+    return [Scale(*map(float, each)) for each in figures]
 
 
-def _evidence(values: Array, vector: Array, scales: Array) -> Array:
-    """Return the log likelihood of scales (n,) against no effect."""
-    squared = scales**2 * values[:, None]
-    return np.asarray(0.5 * np.sum(vector[:, None] ** 2 * scales**2 / (1 + squared) - np.log1p(squared), axis=0))
+def _evidence(values: Array, vectors: Array, scales: Array) -> Array:
+    """Return the log likelihood of scales (C, n) against no effect, of coefficients (C, k)."""
+    squared = scales[:, None] ** 2 * values[..., None]
+    gained = vectors[..., None] ** 2 * scales[:, None] ** 2 / (1 + squared) - np.log1p(squared)
+    return np.asarray(0.5 * np.sum(gained, axis=1))
 
 
-def _fitted(values: Array, vector: Array, scales: Array) -> Array:
-    """Return the squares (n,) that the estimates under scales (n,) take from the data; they grow with the scale."""
-    return np.asarray(np.sum(values[:, None] * _estimates(values, vector, scales) ** 2, axis=0))
+def _fitted(values: Array, vectors: Array, scales: Array) -> Array:
+    """Return the squares (C, n) that the estimates under scales (C, n) take from the data; they grow with the scale."""
+    return np.asarray(np.sum(values[..., None] * _estimates(values, vectors, scales) ** 2, axis=1))
 
 
-def _estimates(values: Array, vector: Array, scales: Array) -> Array:
-    """Return the coefficients (k, n) under scales (n,)."""
-    return np.asarray(vector[:, None] * scales**2 / (1 + scales**2 * values[:, None]))
+def _estimates(values: Array, vectors: Array, scales: Array) -> Array:
+    """Return the coefficients (C, k, n) under scales (C, n)."""
+    squared = scales[:, None] ** 2
+    return np.asarray(vectors[..., None] * squared / (1 + squared * values[..., None]))
 
 
 def first_scales() -> dict[str, Scale]:
@@ -186,22 +203,27 @@ def board_scales(problem: BoardProblem, state: State, factors: Factors, start: i
 
     start: the place of the board's first term among the shared parameters; None: behind the free lens parameters.
     """
-    start, result, covariance = len(problem.free) if start is None else start, {}, factors.shared_covariance()
+    start, covariance = len(problem.free) if start is None else start, factors.shared_covariance()
     precision, value = _priors(problem, state, start)
+    classes: dict[str, tuple[float, Array]] = {}  # the unit of its coefficients, and their places
     if problem.terms:
         for name, own in CLASSES.items():
-            chosen = start + np.arange(len(own.terms))
+            classes[name] = scale_unit(problem.board, own.terms[0]), start + np.arange(len(own.terms))
             start += len(own.terms)
-            unit = scale_unit(problem.board, own.terms[0])
-            information, vector = _of_data(precision, value, covariance, chosen)
-            result[name] = scale_of(unit**2 * information, unit * vector, own.median, own.spread)
     if problem.offsets:
         side = max(problem.board.extent)
         for name, axes in _AXES.items():
-            chosen = np.sort(np.concatenate([start + axis + 3 * np.arange(problem.board.count) for axis in axes]))
-            information, vector = _of_data(precision, value, covariance, chosen)
-            prior = CORNER_CLASSES[name]
-            result[name] = scale_of(side**2 * information, side * vector, prior.median, prior.spread)
+            places = [start + axis + 3 * np.arange(problem.board.count) for axis in axes]
+            classes[name] = side, np.sort(np.concatenate(places))
+    priors, result = CLASSES | CORNER_CLASSES, dict[str, Scale]()
+    for names in (CLASSES.keys() & classes, CORNER_CLASSES.keys() & classes):  # of few coefficients, and of many
+        chosen = [name for name in classes if name in names]
+        known = [_of_data(precision, value, covariance, classes[name][1]) for name in chosen]
+        units = [classes[name][0] for name in chosen]
+        informations = [unit**2 * information for unit, (information, _) in zip(units, known, strict=True)]
+        vectors = [unit * vector for unit, (_, vector) in zip(units, known, strict=True)]
+        medians, spreads = np.array([(priors[name].median, priors[name].spread) for name in chosen]).reshape(-1, 2).T
+        result |= zip(chosen, scales_of(informations, vectors, medians, spreads) if chosen else (), strict=True)
     return result
 
 

@@ -9,19 +9,20 @@ From one linearisation also follows what every view alone says of the lens: its 
 lens, the pose following.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from statistics import NormalDist
 
 import numpy as np
-from scipy.special import gammaincc, ndtri
 
 from camcal.arrays import Array
 from camcal.calibrate.effects import scaled
 from camcal.calibrate.noise import FINEST, RAYLEIGH_MEDIAN, row_medians
 from camcal.calibrate.problem import BoardProblem, State
-from camcal.solve.losses import Cauchy
-from camcal.solve.steps import NormalEquations, cholesky_solve
+from camcal.solve.losses import Cauchy, chi_square_beyond
+from camcal.solve.steps import NormalEquations, lower_inverse
 
 _UNORDERED = np.concatenate([[0.0], np.geomspace(1e-5, 0.03, 25)])  # τ, a share of the parameter
 # Of the log likelihood, what a τ above zero must gain: few cameras change their focal length from view to view.
@@ -46,8 +47,10 @@ class Found:
         """Return how far the gain is beyond that of the best of so many independent places by chance, in standard
         deviations.
         """
-        chance = places * float(gammaincc(len(self.size) / 2, max(self.gain, 0.0) / 2))
-        return -float(ndtri(chance / 2)) if chance < 1 else 0.0
+        chance = places * chi_square_beyond(self.gain, len(self.size))
+        if chance <= 0:
+            return math.inf
+        return -NormalDist().inv_cdf(chance / 2) if chance < 1 else 0.0
 
 
 def followed(equations: NormalEquations, pose: int, std: Array) -> NormalEquations:
@@ -85,7 +88,8 @@ class ViewOffsets:
             coupling = coupling.reshape(len(values), -1)
             unit = np.sqrt(np.diag(equations.shared_shared))
             root = np.linalg.cholesky(equations.shared_shared / np.outer(unit, unit)) * unit[:, None]
-            follow = coupling @ cholesky_solve(root, np.column_stack([coupling.T, equations.gradient.shared]))
+            inverse = lower_inverse(root[None])[0]
+            follow = coupling @ (inverse.T @ (inverse @ np.column_stack([coupling.T, equations.gradient.shared])))
             matrix, values = matrix - follow[:, :-1], values + follow[:, -1]
         information, vectors = np.linalg.eigh((matrix + matrix.T) / 2)
         known = information > _KNOWN * information[-1]

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import PurePath
 
 import numpy as np
 
@@ -130,4 +131,10 @@ def px_words(distance: float) -> str:
 def names_of(images: Sequence[str], most: int = _NAMED) -> str:
     """Return the names of images in a sentence, `most` of them."""
     more = f" and {len(images) - most} more" if len(images) > most else ""
-    return ", ".join(images[:most]) + more
+    return ", ".join(map(shown_name, images[:most])) + more
+
+
+def shown_name(image: str) -> str:
+    """Return the name of an image for a reader: of an absolute path the folder and the file."""
+    path = PurePath(image)
+    return "/".join(path.parts[-2:]) if path.is_absolute() else image

@@ -9,8 +9,12 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.cameras.model import Camera
 from camcal.geometry import rotation as so3
+from camcal.opencv import convex_hull
 
 _FEWEST = 10  # pixels that a rotation is fitted to
+_FLAT = 1e-6  # px, the width of a hull that is a line
+_ROUNDING_PX = 1e-3  # of corners of a hull, in single precision
+_TURNS = 4  # linear steps to the rotation between two lenses
 
 
 def direction_displacements(camera: Camera, pixels: Array, fitted: Array | None = None) -> Array:
@@ -34,12 +38,30 @@ def point_displacements(camera: Camera, pixels: Array, distance: float, fitted: 
     return _without_rotation(np.concatenate([by_lens, by_point / distance], axis=2), by_rotation, fitted)
 
 
+def lens_difference(camera: Camera, other: Camera, pixels: Array, fitted: Array | None = None) -> Array:
+    """Return by how much (N, 2), px, another camera images the directions elsewhere that one sees at pixels (N, 2),
+    after the rotation that best undoes that; fitted, NaN: as of `direction_displacements`, for either lens.
+    """
+    rays = camera.unproject(pixels).directions
+    for _ in range(_TURNS):
+        found = other.model.project_with_jacobians(other.parameters, rays)
+        apart, by_rotation = (found.pixels - pixels)[:, :, None], found.d_point @ -so3.hat(rays)
+        chosen = _fitted(apart, by_rotation, fitted)
+        rays = rays @ so3.exp(_rotations(apart[chosen], by_rotation[chosen])[:, 0])  # by its inverse
+    return np.asarray(_without_rotation(apart, by_rotation, fitted)[:, :, 0])
+
+
+def _fitted(moved: Array, by_rotation: Array, fitted: Array | None) -> Array:
+    """Return the pixels (N,) bool that a rotation is fitted to: see `direction_displacements`."""
+    valid = np.isfinite(moved).all(axis=(1, 2)) & np.isfinite(by_rotation).all(axis=(1, 2))
+    return np.asarray(valid if fitted is None or np.sum(valid & fitted) < _FEWEST else valid & fitted)
+
+
 def _without_rotation(moved: Array, by_rotation: Array, fitted: Array | None) -> Array:
     """Return displacements (N, 2, C) without what the rotation explains that explains most of them."""
-    valid = np.isfinite(moved).all(axis=(1, 2)) & np.isfinite(by_rotation).all(axis=(1, 2))
-    chosen = valid if fitted is None or np.sum(valid & fitted) < _FEWEST else valid & fitted
+    chosen = _fitted(moved, by_rotation, fitted)
     displacements = moved - by_rotation @ _rotations(moved[chosen], by_rotation[chosen])
-    displacements[~valid] = np.nan
+    displacements[~_fitted(moved, by_rotation, None)] = np.nan
     return np.asarray(displacements)
 
 
@@ -61,12 +83,13 @@ def _rotations(moved: Array, by_rotation: Array) -> Array:
 
 def in_hull(pixels: Array, observed: Array) -> Array:
     """Return which pixels (N, 2) lie in the convex hull of others (M, 2): none if these are on one line."""
-    from scipy.spatial import ConvexHull, QhullError
-
     if len(observed) < 3:
         return np.zeros(len(pixels), bool)
-    try:
-        sides = ConvexHull(observed).equations  # outward normals and offsets
-    except QhullError:  # all on one line
+    corners = observed[convex_hull(observed)]
+    sides = np.roll(corners, -1, axis=0) - corners
+    area = np.sum(corners[:, 0] * np.roll(corners[:, 1], -1) - corners[:, 1] * np.roll(corners[:, 0], -1))
+    if np.abs(area) <= _FLAT * np.linalg.norm(sides, axis=1).sum():  # all on one line
         return np.zeros(len(pixels), bool)
-    return np.asarray((pixels @ sides[:, :2].T + sides[:, 2] <= 1e-9).all(axis=1))
+    apart = pixels[:, None] - corners
+    across = (sides[:, 0] * apart[..., 1] - sides[:, 1] * apart[..., 0]) / np.linalg.norm(sides, axis=1)
+    return np.asarray((np.sign(area) * across >= -_ROUNDING_PX).all(axis=1))

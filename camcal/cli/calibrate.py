@@ -60,6 +60,7 @@ def _calibrate(options: CalibrateOptions, call: ImageCall) -> None:
 
 
 def _show_calibration(report: "CalibrateReport", options: CalibrateOptions, verbose: bool) -> None:
+    from camcal.calibrate.view_records import shown_name
     from camcal.formats.camera_file import ProjectionStd
     from camcal.report.calibration import CANDIDATE_COLUMNS, candidate_rows, headline, parameter_rows, summary
     from camcal.report.table import projection_words, region_words
@@ -85,9 +86,12 @@ def _show_calibration(report: "CalibrateReport", options: CalibrateOptions, verb
     show.text(f"Residuals: {residual_words(calibration)}")
     show.figure(partial(calibration_figures, calibration, circle))
     _show_channels(report)
-    _list("Not used:", [f"{view.image}: {view.reason}" for view in calibration.views if not view.used], verbose)
+    unused = [f"{shown_name(view.image)}: {view.reason}" for view in calibration.views if not view.used]
+    _list("Not used:", unused, verbose)
     if verbose:
-        corners = [f"{corner.image}: corner {corner.id}, {_how_far(corner)}" for corner in calibration.rejected]
+        corners = [
+            f"{shown_name(corner.image)}: corner {corner.id}, {_how_far(corner)}" for corner in calibration.rejected
+        ]
         _list("Rejected corners:", corners, verbose)
     figures = show.several(report.figures, "figure")
     show.wrote(options.output, options.save_detections, options.report, figures)
@@ -301,6 +305,7 @@ def _finish_rig(report: "RigReport", settings: RigSettings, call: ImageCall) -> 
 
 
 def _show_rig(report: "RigReport", settings: RigSettings, verbose: bool) -> None:
+    from camcal.calibrate.view_records import shown_name
     from camcal.report.calibration import CANDIDATE_COLUMNS, candidate_rows, parameter_rows
     from camcal.report.rig import CAMERA_COLUMNS, TRANSFORM_COLUMNS, camera_rows, lines, transform_rows
     from camcal.report.table import region_words
@@ -327,9 +332,8 @@ def _show_rig(report: "RigReport", settings: RigSettings, verbose: bool) -> None
         show.table(f"{name}: {own.camera.model.name}", ["parameter", "value", "± std"], parameter_rows(own))
     unmatched = report.views.matched.unmatched
     _list("Without a partner:", list(unmatched), verbose)
-    unused = [
-        f"{view.image}: {view.reason}" for own in calibration.calibrations.values() for view in own.views if view.reason
-    ]
+    views = [view for own in calibration.calibrations.values() for view in own.views]
+    unused = [f"{shown_name(view.image)}: {view.reason}" for view in views if view.reason]
     _list("Not used:", unused, verbose)
     figures = show.several(report.figures, "figure")
     show.wrote(settings.output, settings.save_detections, settings.report, figures)

@@ -12,14 +12,17 @@ from camcal.files import STANDARD
 from camcal.images.options import set_max_pixels
 from camcal.messages import Message, counted
 from camcal.options import GENERAL, Option
-from camcal.progress import Progress
+from camcal.progress import Progress, Timed, Timing
 
 _MOST_PIXELS = 1e6  # millions; sides are 32-bit numbers
 
 
 @dataclass(frozen=True)
 class Call:
-    """How a command is called: what each of them takes beside the options of its task. documents: what it gave."""
+    """How a command is called: what each of them takes beside the options of its task.
+
+    documents: what it gave. timings: of the stages of its work, by their names.
+    """
 
     command: str
     json: Annotated[bool, Option("Print one JSON document on stdout and nothing else.", group=GENERAL)] = False
@@ -27,6 +30,7 @@ class Call:
     verbose: Annotated[bool, Option("Show all rows, columns and details.", group=GENERAL, names="--verbose -v")] = False
 
     documents: list[Callable[[], Mapping[str, Any]]] = field(default_factory=list)
+    timings: dict[str, Timing] = field(default_factory=dict)
 
     def prepare(self) -> None:
         """Set what holds for the whole process."""
@@ -44,7 +48,8 @@ class Call:
             work()
             if self.documents:
                 document = plain(self.documents[-1]())
-                finished.keep({name: value for name, value in document.items() if name != "reused"})
+                kept = {name: value for name, value in document.items() if name != "reused"}
+                finished.keep(kept | ({"timings": {}} if "timings" in kept else {}))
             return
         failures = [Message(**each) for each in known.get("failures", ())]
 
@@ -58,7 +63,7 @@ class Call:
     @property
     def progress(self) -> Progress:
         """What a task reports to."""
-        return show.progress(self.quiet)
+        return Timed(show.progress(self.quiet), self.timings)
 
     def give(
         self,
@@ -81,15 +86,21 @@ class Call:
     def give_with_reused(
         self, document: Callable[[], Mapping[str, Any]], words: Callable[[], None], failures: Sequence[Message] = ()
     ) -> None:
-        """Print a result as `give` does, and of how many of its images an earlier run had found the corners."""
+        """Print a result as `give` does, of how many of its images an earlier run had found the corners, and how long
+        the stages of the work took.
+        """
         from camcal.run.journal import found_before
 
         def more() -> None:
             words()
             if count := found_before():
                 show.text(f"{counted(count, 'image')} searched by an earlier run")
+            if self.verbose and self.timings:
+                rows = [[name, f"{own.wall_s:.2f}", f"{own.cpu_s:.2f}"] for name, own in self.timings.items()]
+                show.table("time of this process, s", ["stage", "wall clock", "processor"], rows)
 
-        self.give(lambda: {**document(), "reused": found_before()}, more, failures)
+        timings = {name: vars(timing) for name, timing in self.timings.items()}
+        self.give(lambda: {**document(), "reused": found_before(), "timings": timings}, more, failures)
 
 
 @dataclass(frozen=True)
@@ -112,3 +123,43 @@ class ImageCall(Call):
         if not 0 < self.max_pixels <= _MOST_PIXELS:
             raise InvalidInput(f"--max-pixels {self.max_pixels:g}: more than 0 and at most {_MOST_PIXELS:g} million")
         set_max_pixels(round(self.max_pixels * 1e6))
+
+
+class _Texts:
+    """What typer reads the values of a parameter with: texts as they were typed, which options read themselves.
+
+    usual: typer's own reader, of all other values. It loads pydantic, which takes longer than many commands.
+    """
+
+    def __init__(self, usual: Callable[[], Any]) -> None:
+        self.usual = usual
+
+    def __call__(self) -> "_Texts":
+        return self
+
+    def coerce(self, value: Any, param: Any, ctx: Any) -> Any:
+        """Return a value as the type that the parameter has."""
+        kind = param.type_descriptor.annotation
+        if value is None and kind in (str, bool, Path):
+            return None
+        if isinstance(value, str) and kind in (str, Path):
+            return kind(value)
+        if kind == list[str] and isinstance(value, (list, tuple)) and all(isinstance(each, str) for each in value):
+            return list(value)
+        return self.usual().coerce(value, param=param, ctx=ctx)
+
+
+class TextParameters:
+    """A command or group of typer's whose parameters keep the texts of a command line as they are."""
+
+    def get_params(self, ctx: Any) -> list[Any]:
+        """Return all parameters, --help among them."""
+        parameters: list[Any] = super().get_params(ctx)  # type: ignore[misc]
+        for parameter in parameters:
+            if not isinstance(parameter.get_runtime_param, _Texts):
+                parameter.get_runtime_param = _Texts(parameter.get_runtime_param)
+        return parameters
+
+    def get_help_option_names(self, ctx: Any) -> list[str]:
+        """Return the names of --help in the order of all other options; typer gives them in none."""
+        return sorted(super().get_help_option_names(ctx), key=len)  # type: ignore[misc]

@@ -18,7 +18,7 @@ import typer
 from typer.core import TyperCommand
 
 from camcal.cli import examples, show
-from camcal.cli.call import Call
+from camcal.cli.call import Call, TextParameters
 from camcal.errors import InvalidInput
 from camcal.files import STANDARD
 from camcal.options import GENERAL, Argument, Declared, assembled, by_group, declared
@@ -37,7 +37,7 @@ class NoOptions:
     """The options of a command that has none of its own."""
 
 
-class OptionsCommand(TyperCommand):
+class OptionsCommand(TextParameters, TyperCommand):
     """A command whose options are declared by records, which `command` makes."""
 
     full_name: str = ""
@@ -65,10 +65,6 @@ class OptionsCommand(TyperCommand):
         """Return what a command line is made of: options, then arguments in their order."""
         arguments = [each for each in self.declared if each.positional]
         return ["[OPTIONS]", *(each.name if each.required else f"[{each.name}]" for each in arguments)]
-
-    def get_help_option_names(self, ctx: Any) -> list[str]:
-        """Return the names of --help in the order of all other options; typer gives them in none."""
-        return sorted(super().get_help_option_names(ctx), key=len)
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
         """Write the options under the titles of their groups, those of typer's own parameters with the general ones."""

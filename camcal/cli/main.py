@@ -19,6 +19,7 @@ from typer.core import CompletionItem, TyperGroup  # type: ignore[attr-defined] 
 
 from camcal import __version__
 from camcal.cli import examples, show
+from camcal.cli.call import TextParameters
 from camcal.errors import EXIT_BUG, EXIT_INTERRUPTED, EXIT_SIGNAL, FileError, InvalidInput, translated
 from camcal.images.options import set_default_max_pixels
 from camcal.parsing import in_one_line, nearest
@@ -112,7 +113,7 @@ class Commands(MutableMapping[str, Any]):
         return [(name, entry.summary) for name, entry in self.entries.items()]
 
 
-class CommandGroup(TyperGroup):
+class CommandGroup(TextParameters, TyperGroup):
     """A group of commands that prints its help, as a usage error, where it is called without one."""
 
     def __init__(self, *, commands: Any = None, above: str = "", **attributes: Any) -> None:
@@ -126,10 +127,6 @@ class CommandGroup(TyperGroup):
             typer.echo(ctx.get_help(), err=True)
             raise typer.Exit(InvalidInput.exit_code)
         return super().parse_args(ctx, args)
-
-    def get_help_option_names(self, ctx: Any) -> list[str]:
-        """Return the names of --help in the order of all other options; typer gives them in none."""
-        return sorted(super().get_help_option_names(ctx), key=len)
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:  # noqa: ARG002 - typer calls it so
         """Write the list of commands without importing them."""

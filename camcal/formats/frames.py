@@ -18,7 +18,7 @@ import numpy as np
 
 from camcal import files
 from camcal.arrays import Array
-from camcal.errors import InvalidInput
+from camcal.errors import InvalidInput, Located
 from camcal.formats import cameras, emit, native, poses
 from camcal.formats.camera_file import transform_covariances
 from camcal.formats.covariance import QUATERNION, why_no_covariance
@@ -137,10 +137,11 @@ def _own(document: Document) -> tuple[LooseTransform, ...]:
     data = {"transforms": document.get("transforms", {})} if of_camera else document.data
     if faults := list(whole(data, "")):
         raise document.error(faults)
-    return tuple(
-        LooseTransform(name, _pose(item), _covariance(item), _where(document, f"transforms.{name}"))
-        for name, item in data["transforms"].items()
-    )
+    found = []
+    for name, item in data["transforms"].items():
+        with Located(where := _where(document, f"transforms.{name}")):
+            found.append(LooseTransform(name, _pose(item), _covariance(item), where))
+    return tuple(found)
 
 
 def _where(document: Document, path: str) -> str:

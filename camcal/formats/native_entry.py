@@ -38,6 +38,7 @@ from camcal.formats import boards, covariance
 from camcal.formats.camera_file import CalibrationNoise, CalibrationVerdict, CameraEntry, ProjectionStd, ValidRegion
 from camcal.formats.documents import Check, Fault, child
 from camcal.formats.schema import (
+    FOCAL_LENGTH,
     LARGEST_SIDE,
     STD,
     VENDOR,
@@ -75,7 +76,6 @@ CORE = ("fx", "fy", "cx", "cy", "skew")  # named under intrinsics; all others ar
 PROJECTION_FIGURES = ("centre_px", "rms_px", "median_px", "p95_px", "max_px", "inside_rms_px", "inside_max_px")
 
 _FOCAL = ("fx", "fy")
-_FOCAL_LENGTH = number(1e-3, 1e10, positive=True, hint=" (mirrored image? flip the image instead)")  # px
 _UNCERTAINTY = mapping(
     {},
     {
@@ -271,7 +271,7 @@ def _check_names(values: Any, path: str, model: CameraModel, names: Sequence[str
     misspelt: set[str | None] = set()
     for name, value in values.items():
         if name in names:
-            yield from (_FOCAL_LENGTH if name in _FOCAL else number(*model.limits[name]))(value, child(path, name))
+            yield from (FOCAL_LENGTH if name in _FOCAL else number(*model.limits[name]))(value, child(path, name))
         else:
             misspelt.add(nearest(name, missing))
             yield Fault(child(path, name), f"model {model.name!r} has no {name!r} here{did_you_mean(name, missing)}")

@@ -57,6 +57,7 @@ def _shown(value: Any) -> str:
 FINITE = number(-math.inf, math.inf)
 STD = number(0, LARGEST_STD)
 VARIANCE = number(-LARGEST_VARIANCE, LARGEST_VARIANCE)
+FOCAL_LENGTH = number(1e-3, 1e10, positive=True, hint=" (mirrored image? flip the image instead)")  # px
 STATISTIC = VARIANCE  # such as χ² or the condition of a matrix
 
 

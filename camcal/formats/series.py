@@ -13,6 +13,7 @@ from camcal.arrays import Array
 from camcal.errors import InvalidInput
 from camcal.estimate.smoothing.series import Series, SmoothedSeries
 from camcal.formats import emit
+from camcal.formats.schema import LARGEST_STD
 from camcal.formats.tables import Table, read_measurements, require_increasing
 from camcal.parsing import did_you_mean
 
@@ -46,6 +47,7 @@ def read(path: Path, columns: Sequence[str] = ()) -> Series:
     stamps = table.numbers(time)
     require_increasing(str(path), table.lines, stamps)
     values = np.column_stack([table.numbers_or_empty(name) for name in names])
+    _require_range(table, values, "measurement")
     return Series(tuple(names), stamps, values, _deviations(table, names))
 
 
@@ -65,8 +67,9 @@ def read_controls(path: Path, series: Series) -> Array:
     late = stamps > series.stamps[-1] + 1e-9
     table.refuse(np.asarray(late), lambda row: f"time {stamps[row]:.9f} s is later than the last measurement")
     arrived = np.searchsorted(series.stamps, stamps - 1e-9)
-    result = np.zeros(series.values.shape)
-    np.add.at(result, arrived, np.column_stack([table.numbers(name) for name in series.names]))
+    result, moves = np.zeros(series.values.shape), np.column_stack([table.numbers(name) for name in series.names])
+    _require_range(table, moves, "displacement")
+    np.add.at(result, arrived, moves)
     return result
 
 
@@ -95,6 +98,12 @@ def write(path: Path, smoothed: SmoothedSeries) -> None:
     files.write_text(path, json.dumps(emit.rounded(document)) + "\n")
 
 
+def _require_range(table: Table, values: Array, what: str) -> None:
+    """Raise InvalidInput with the line of the first values (N, d) whose squares are hardly numbers."""
+    far = np.asarray((np.abs(values) > LARGEST_STD).any(axis=1))
+    table.refuse(far, lambda _: f"a {what} of more than {LARGEST_STD:g} exceeds the numerical range: check the units")
+
+
 def _deviations(table: Table, names: Sequence[str]) -> Array | None:
     """Return the standard deviations (N, d) that a table has of some columns, None if it has none."""
     held = [f"{_SIGMA}_{name}" if f"{_SIGMA}_{name}" in table.columns else _SIGMA for name in names]
@@ -104,6 +113,7 @@ def _deviations(table: Table, names: Sequence[str]) -> Array | None:
     if absent:
         raise InvalidInput(f"some columns have a sigma, {names[held.index(_SIGMA)]!r} has none", where=table.path)
     result = np.column_stack([table.numbers(name) for name in held])
+    _require_range(table, result, "sigma")
     table.refuse(np.asarray(~(result > 0).all(axis=1)), lambda _: "a sigma must be more than 0")
     return result
 

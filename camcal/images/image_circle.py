@@ -13,7 +13,7 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.cameras.validity import ImageCircle
 from camcal.errors import InvalidInput
-from camcal.opencv import resized
+from camcal.opencv import largest_region, resized
 
 MOST_IMAGES = 24  # of one camera; more change next to nothing
 
@@ -145,13 +145,7 @@ def _outline(brightest: Array, threshold: float) -> Array:
 
     Holes are part of the region. Places between two pixels are interpolated linearly.
     """
-    from scipy.ndimage import binary_fill_holes, label
-
-    regions, count = label(brightest >= threshold)
-    if not count:
-        return np.zeros((0, 2))
-    largest = 1 + int(np.argmax(np.bincount(regions.ravel())[1:]))
-    region = np.asarray(binary_fill_holes(regions == largest))
+    region = largest_region(brightest >= threshold)
     along_rows = _crossings(region, brightest, threshold)
     along_columns = _crossings(region.T, brightest.T, threshold)[:, ::-1]
     points = np.concatenate([along_rows, along_columns])

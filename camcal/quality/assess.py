@@ -6,26 +6,30 @@ depend on it.
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
+from statistics import NormalDist
 
 import numpy as np
-from scipy.special import chdtrc, ndtri, stdtrit
 
 from camcal.arrays import Array, FloatArray
 from camcal.brief import Brief
 from camcal.calibrate.intrinsics import Calibration, CandidateModel
 from camcal.calibrate.view_records import names_of
+from camcal.cameras.directions import lens_difference
 from camcal.cameras.validity import ImageCircle, folds_inside
 from camcal.messages import Message, counted
 from camcal.quality.criteria import CRITERIA, KNOWN_PX, between_views, largest_tilt_deg, message
+from camcal.quality.lens_choice import better_model, other_models
 from camcal.quality.projection_uncertainty import (
     KnownRegion,
     ProjectionUncertainty,
     known_region,
     projection_uncertainty,
+    with_bias,
     with_pattern,
 )
+from camcal.solve.losses import chi_square_beyond
 from camcal.targets.board_types import BOARD_TYPES
 
 _CHANCE = 1e-6  # of residuals that follow the radius by so much, if the lens model were right
@@ -38,9 +42,11 @@ _EXPLAINED = {
     "several_cameras": (*_OF_VIEWS, "lens_model", "residual_pattern", "known_region"),
     "several_cameras_by_name": (*_OF_VIEWS, "lens_model", "residual_pattern", "known_region"),
     **dict.fromkeys(("not_invertible", "lens_model"), ("known_region",)),
+    "focal_change": ("known_region", "rolling_shutter", "board_bends", "motion_blur"),
     "known_region": ("tilt",),
     "board_scale": ("board_size",),
 }
+_NO_RAY = 0.01  # of the image diagonal: standard deviation that a pixel counts with for which the lens has no ray
 _EXACT_PX = 1e-6  # what a projection is known to at best, where all parameters are held
 _MOSTLY = 0.5  # of a view's corners
 _TILTED_DEG = 20.0  # of the board in some view: beyond it, more tilt is not what is missing
@@ -53,7 +59,7 @@ _RINGS = 8
 class Assessment(Brief):
     """failures: why a calibration must not be trusted (none: it may be, within the region). warnings: what is weak.
 
-    uncertainty: of projections, what the residuals say against the lens model included.
+    uncertainty: of projections, what the residuals and a better lens model say against the one in use included.
     """
 
     failures: tuple[Message, ...]
@@ -77,24 +83,31 @@ def assess(
     """Return the failures and warnings of a calibration by all criteria.
 
     circle: the image circle, where there is one: the lens is not assessed outside of it. candidates: other lens models
-    that were tried, in their order, which are named where the one in use does not do.
+    that were tried, in their order, which are named where the one in use does not do; the one in use may be among them.
     """
     camera, trend = calibration.camera, radial_trend(calibration)
     uncertainty = projection_uncertainty(camera, observed=calibration.pixels, circle=circle)
     stated_px = uncertainty.figures().get("inside_rms_px", 0.0)
     if trend.chance < _CHANCE:
         uncertainty = with_pattern(uncertainty, _centre(calibration), trend.radii, trend.means)
+    bias, better = np.zeros((len(uncertainty.pixels), 2)), better_model(camera.model.name, candidates)
+    if better is not None and better.calibration is not None:
+        bias = lens_difference(camera, better.calibration.camera, uncertainty.pixels, uncertainty.inside)
+        uncertainty = with_bias(uncertainty, bias)
     region = known_region(uncertainty, KNOWN_PX / _few_views_factor(len(calibration.used)))
     others = other_models(camera.model.name, candidates)
+    # where the map states too much, a change of the focal length may be the cause, and is not measured by it
+    allowed_px = stated_px if region.of_observed >= _limit("known_region") else 0.0
     parts = (
         partial(_fold, circle=circle, others=others),
         _cameras,
         partial(_lens_model, trend=trend, stated_px=stated_px, others=others),
+        partial(_better_model, better=better, candidates=candidates, bias=bias[uncertainty.inside]),
         _views,
         partial(_coverage, circle=circle),
         _noise,
         _within_views,
-        partial(between_views, stated_px=stated_px),
+        partial(between_views, stated_px=allowed_px),
         _plausible,
         _board,
         partial(_region, region=region, others=others),
@@ -110,26 +123,24 @@ def assess(
     )
 
 
+def judge(candidates: Sequence[CandidateModel], circle: ImageCircle | None = None) -> tuple[CandidateModel, ...]:
+    """Return the candidates with what the verdict would be on their brief calibrations; circle: the image circle."""
+    return tuple(own if own.scores is None else _judge_one(own, circle) for own in candidates)
+
+
+def _judge_one(own: CandidateModel, circle: ImageCircle | None) -> CandidateModel:
+    if own.calibration is None:
+        return own
+    assessment, size = assess(own.calibration, circle), own.calibration.camera.image_size
+    found = assessment.uncertainty
+    lit = found.std_rms if circle is None else found.std_rms[circle.contains(found.pixels)]
+    std = np.where(np.isfinite(lit), lit, _NO_RAY * float(np.hypot(*size)))
+    failures = tuple(message.code for message in assessment.failures)
+    return replace(own, map_px=float(np.sqrt(np.mean(std**2))), failures=failures)
+
+
 def _limit(code: str) -> float:
     return CRITERIA[code].limit
-
-
-def passing_model(used: str, candidates: Sequence[CandidateModel]) -> str | None:
-    """Return the first lens model other than the one in use that passes, None if there is none."""
-    return next(
-        (own.name for own in candidates if own.name != used and own.scores is not None and not own.failures), None
-    )
-
-
-def other_models(used: str, candidates: Sequence[CandidateModel]) -> str:
-    """Return what to do about the lens model: one that passes, or that none of those that were tried does, or "" where
-    none was tried.
-    """
-    passing = passing_model(used, candidates)
-    if passing is not None:
-        return f"use --model {passing}, which passes all checks in a brief calibration"
-    names = ", ".join(own.name for own in candidates if own.name != used and own.scores is not None)
-    return f"none of {names} passes all checks either: add views with the board all over the image" if names else ""
 
 
 def _fold(calibration: Calibration, circle: ImageCircle | None, others: str) -> Iterator[Message]:
@@ -177,6 +188,21 @@ def _lens_model(calibration: Calibration, trend: "Trend", stated_px: float, othe
         yield message("residual_pattern", f"{text}included in the projection uncertainty", size / calibration.sigma_px)
 
 
+def _better_model(
+    calibration: Calibration, better: CandidateModel | None, candidates: Sequence[CandidateModel], bias: Array
+) -> Iterator[Message]:
+    """Yield which lens model predicts better and by how much the two differ: bias (N, 2) px where corners were seen."""
+    if better is None:
+        return
+    own = next(each for each in candidates if each.name == calibration.camera.model.name)
+    apart = float(np.sqrt(np.nanmean(np.sum(bias**2, axis=1))))
+    text = (
+        f"{better.name} predicts left-out views better than {own.name} ({better.sigma_px:.2g} px, {own.sigma_px:.2g} "
+        f"px); the two differ by {apart:.2g} px RMS, included in the projection uncertainty: use --model {better.name}"
+    )
+    yield message("better_model", text, better.score - own.score)
+
+
 def _region(calibration: Calibration, region: KnownRegion, others: str) -> Iterator[Message]:
     if region.of_observed >= _limit("known_region"):
         return
@@ -196,8 +222,10 @@ def _few_views_factor(count: int) -> float:
     """Return by how much wider an interval is where the standard deviation is from so many views, 1 for many."""
     if count >= _FEW_FOR_SCATTER:
         return 1.0
+    from scipy.special import stdtrit  # here, as importing it takes longer than many commands
+
     quantile = (1 + _INTERVAL) / 2
-    return float(stdtrit(max(count - 1, 1), quantile) / ndtri(quantile))
+    return float(stdtrit(max(count - 1, 1), quantile)) / NormalDist().inv_cdf(quantile)
 
 
 def _views(calibration: Calibration) -> Iterator[Message]:
@@ -359,7 +387,7 @@ def radial_trend(calibration: Calibration) -> Trend:
     return Trend(
         float(means[worst]),
         (float(edges[worst]), float(edges[worst + 1])),
-        float(chdtrc(_RINGS, statistic)),
+        chi_square_beyond(statistic, _RINGS),
         radii=(edges[:-1] + edges[1:]) / 2,
         means=means,
     )

@@ -5,40 +5,22 @@ known best over the whole image is taken, as coefficients that the data do not d
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
 from camcal.calibrate.intrinsics import CandidateModel
-from camcal.cameras.validity import ImageCircle
-from camcal.quality.assess import assess
 
-# By how much a model must predict better: nats a corner (0.1 is 5 % of the prediction error), and standard errors of
-# the difference between views. Than the preferred one by much, or less if that is clearer; than a simpler one by
-# little: a lens that is described badly at the edge of the image costs its few corners there no more.
+# By how much a lens model must predict left-out views better than another to be much better: nats a corner (0.1 is 5 %
+# of the prediction error), and standard errors of the difference between views; less if that is clearer.
 GAIN = 0.10
-_MUCH, _LITTLE = ((GAIN, 1.5), (0.02, 2.5)), ((0.005, 1.5),)
+MUCH = ((GAIN, 1.5), (0.02, 2.5))
+# By how much a model must predict better, as MUCH: than the preferred one by that, than a simpler one by little: a lens
+# that is described badly at the edge of the image costs its few corners there no more.
+_LITTLE = ((0.005, 1.5),)
 # Of models that predict alike: the share of the map's standard deviation below which another one is better known, as
 # single lenses differ by chance; and that deviation, px, below which it is known well enough, as it is below the
 # prediction error.
 _BETTER_KNOWN, _WELL_KNOWN_PX = 0.7, 0.02
-_NO_RAY = 0.01  # of the image diagonal: standard deviation that a pixel counts with for which the lens has no ray
-
-
-def judge(candidates: Sequence[CandidateModel], circle: ImageCircle | None = None) -> tuple[CandidateModel, ...]:
-    """Return the candidates with what the verdict would be on their brief calibrations; circle: the image circle."""
-    return tuple(own if own.scores is None else _judge_one(own, circle) for own in candidates)
-
-
-def _judge_one(own: CandidateModel, circle: ImageCircle | None) -> CandidateModel:
-    if own.calibration is None:
-        return own
-    assessment, size = assess(own.calibration, circle), own.calibration.camera.image_size
-    found = assessment.uncertainty
-    lit = found.std_rms if circle is None else found.std_rms[circle.contains(found.pixels)]
-    std = np.where(np.isfinite(lit), lit, _NO_RAY * float(np.hypot(*size)))
-    failures = tuple(message.code for message in assessment.failures)
-    return replace(own, map_px=float(np.sqrt(np.mean(std**2))), failures=failures)
 
 
 def rank_models(candidates: Sequence[CandidateModel], preferred: str) -> list[CandidateModel]:
@@ -59,11 +41,11 @@ def chosen(candidates: Sequence[CandidateModel], preferred: str) -> CandidateMod
     """
     best = max(candidates, key=lambda own: own.score)
     first = next((own for own in candidates if own.name == preferred), None)
-    if first is None or _beats(best, first, _MUCH):
-        first = next(own for own in candidates if not _beats(best, own, _LITTLE))
+    if first is None or beats(best, first, MUCH):
+        first = next(own for own in candidates if not beats(best, own, _LITTLE))
     if first.map_px is None or first.sigma_px is None or first.map_px <= max(first.sigma_px, _WELL_KNOWN_PX):
         return first
-    alike = [own for own in candidates if own.map_px is not None and not _beats(best, own, _MUCH)]
+    alike = [own for own in candidates if own.map_px is not None and not beats(best, own, MUCH)]
     # what priors hold may seem to be known well
     alike = [own for own in alike if own.calibration is None or not own.calibration.held_by_prior]
     known = min(alike, key=lambda own: own.map_px or 0.0, default=first)
@@ -76,12 +58,39 @@ def alternative(candidates: Sequence[CandidateModel], used: str) -> CandidateMod
     """
     own = next((each for each in candidates if each.name == used and each.scores is not None), None)
     others = [each for each in candidates if each.name != used and each.scores is not None and not each.failures]
-    alike = [each for each in others if own is not None and not _beats(own, each, _MUCH)]
+    alike = [each for each in others if own is not None and not beats(own, each, MUCH)]
     return max(alike, key=lambda each: each.score, default=None)
 
 
-def _beats(one: CandidateModel, other: CandidateModel, margins: Sequence[tuple[float, float]]) -> bool:
-    """Return whether a candidate predicts better than another by any of the margins: nats a corner, standard errors."""
+def passing_model(used: str, candidates: Sequence[CandidateModel]) -> str | None:
+    """Return the first lens model other than the one in use that passes, None if there is none."""
+    return next(
+        (own.name for own in candidates if own.name != used and own.scores is not None and not own.failures), None
+    )
+
+
+def better_model(used: str, candidates: Sequence[CandidateModel]) -> CandidateModel | None:
+    """Return the first candidate that passes and predicts much better than the lens model in use, None if there is none
+    or that is none of them.
+    """
+    own = next((each for each in candidates if each.name == used and each.scores is not None), None)
+    passing = [each for each in candidates if each.calibration is not None and not each.failures]
+    return next((each for each in passing if own is not None and beats(each, own, MUCH)), None)
+
+
+def other_models(used: str, candidates: Sequence[CandidateModel]) -> str:
+    """Return what to do about the lens model: one that passes, or that none of those that were tried does, or "" where
+    none was tried.
+    """
+    passing = passing_model(used, candidates)
+    if passing is not None:
+        return f"use --model {passing}, which passes all checks in a brief calibration"
+    names = ", ".join(own.name for own in candidates if own.name != used and own.scores is not None)
+    return f"none of {names} passes all checks either: add views with the board all over the image" if names else ""
+
+
+def beats(one: CandidateModel, other: CandidateModel, margins: Sequence[tuple[float, float]]) -> bool:
+    """Return whether a model predicts better than another by any of the margins: nats a corner, standard errors."""
     if one.scores is None or other.scores is None:
         return one.scores is not None
     gains = one.scores - other.scores

@@ -118,10 +118,14 @@ def known_region(found: ProjectionUncertainty, limit_px: float) -> KnownRegion:
 
 def _interpolate(found: ProjectionUncertainty, values: Array, pixels: Array) -> Array:
     """Return values of the grid (N,) at pixels (..., 2), linear between those of the grid, large near infinite ones."""
-    from scipy.interpolate import RegularGridInterpolator
-
     table = np.minimum(values, 1e9).reshape(len(found.v), len(found.u))
-    return np.asarray(RegularGridInterpolator((found.v, found.u), table)(pixels[..., ::-1]))
+    column, row = (np.interp(pixels[..., i], line, np.arange(len(line))) for i, line in enumerate((found.u, found.v)))
+    left, top = (
+        np.minimum(place.astype(np.intp), count - 2) for place, count in ((column, len(found.u)), (row, len(found.v)))
+    )
+    along, down = column - left, row - top
+    upper, lower = ((1 - along) * table[y, left] + along * table[y, left + 1] for y in (top, top + 1))
+    return np.asarray((1 - down) * upper + down * lower)
 
 
 def in_polygon(pixels: Array, polygon: Array) -> BoolArray:
@@ -143,7 +147,12 @@ def with_pattern(found: ProjectionUncertainty, centre: Array, radii: Array, radi
     """
     outwards = found.pixels - centre
     distance = np.linalg.norm(outwards, axis=1)
-    bias = (np.interp(distance, radii, radial_px) / np.maximum(distance, 1e-9))[:, None] * outwards
+    return with_bias(found, (np.interp(distance, radii, radial_px) / np.maximum(distance, 1e-9))[:, None] * outwards)
+
+
+def with_bias(found: ProjectionUncertainty, bias: Array) -> ProjectionUncertainty:
+    """Return the uncertainty with a bias (N, 2) px of its pixels added to it, NaN where none is known."""
+    bias = np.nan_to_num(bias)
     return replace(found, covariances=found.covariances + bias[:, :, None] * bias[:, None])
 
 

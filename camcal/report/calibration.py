@@ -73,12 +73,13 @@ def candidates_data(candidates: Sequence[CandidateModel]) -> list[dict[str, Any]
 
 def summary(calibration: Calibration) -> list[str]:
     """Return lines about the residuals and the board."""
-    unused = len(calibration.views) - len(calibration.used)
+    unused, rejected = len(calibration.views) - len(calibration.used), len(calibration.rejected)
+    left_out = [f"{unused} not used"] * (unused > 0) + [f"{counted(rejected, 'corner')} rejected"] * (rejected > 0)
     residuals = (
         f"RMS {calibration.rms_px:.3f} px over {counted(len(calibration.residuals), 'corner')} of "
-        f"{counted(len(calibration.used), 'view')} ({unused} not used, "
-        f"{counted(len(calibration.rejected), 'corner')} rejected); "
-        f"noise {calibration.sigma_px:.3f} px"
+        f"{counted(len(calibration.used), 'view')}"
+        + (f" ({', '.join(left_out)})" if left_out else "")
+        + f"; noise {calibration.sigma_px:.3f} px"
     )
     held = [held_by_prior_words(calibration.held_by_prior)] if calibration.held_by_prior else []
     return [
@@ -131,7 +132,7 @@ def _board_lines(calibration: Calibration) -> list[str]:
     largest = 0.0 if surface.offsets is None else float(abs(surface.offsets).max())
     if largest > _LEAST_OFFSET * max(calibration.board.extent):
         lines.append(f"Per-corner board offsets estimated; largest {factor * largest:.2g} {unit}")
-    return lines or ["board: planar as designed, within the uncertainty"]
+    return lines
 
 
 def view_record(view: View) -> dict[str, Any]:

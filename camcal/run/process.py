@@ -38,8 +38,10 @@ BLAS_THREADS = (
 _MOUNT = Path("/sys/fs/cgroup")
 _MEMBERSHIP = Path("/proc/self/cgroup")
 _PROCESSORS = Path("/proc/cpuinfo")
-_STOPPING = ("SIGTERM", "SIGHUP")
+STOPPING = ("SIGTERM", "SIGHUP")
 _UNHEARD_S = 1.5
+_SIGNALS = "camcal signals"  # the thread that waits for them
+_TASKS = Path("/proc/self/task")
 _ADDRESS_SPACE = 704 << 20  # bytes: `calibrate` of some views maps 680 MB, most of them libraries and their buffers
 _LIBRARIES = ("cv2", "rawpy")
 _BLOCK = 256  # columns of matrices that BLAS takes a buffer for
@@ -139,7 +141,7 @@ def stop_on_signals() -> None:
     Python hears signals between its own instructions: one that comes while a library works longer than _UNHEARD_S ends
     the process then.
     """
-    stopping = [number for name in _STOPPING if (number := getattr(signal, name, None)) is not None]
+    stopping = [number for name in STOPPING if (number := getattr(signal, name, None)) is not None]
     stopping = [number for number in stopping if signal.getsignal(number) == signal.SIG_DFL]
     heard = threading.Event()
 
@@ -154,7 +156,7 @@ def stop_on_signals() -> None:
         ours, theirs = os.pipe()
         os.set_blocking(theirs, False)
         signal.set_wakeup_fd(theirs, warn_on_full_buffer=False)
-        threading.Thread(target=_end_unheard, args=(ours, stopping, heard), daemon=True).start()
+        threading.Thread(target=_end_unheard, name=_SIGNALS, args=(ours, stopping, heard), daemon=True).start()
 
 
 def _end_unheard(pipe: int, stopping: Collection[int], heard: threading.Event) -> None:
@@ -164,10 +166,23 @@ def _end_unheard(pipe: int, stopping: Collection[int], heard: threading.Event) -
             os._exit(EXIT_SIGNAL + numbers[0])
 
 
+def forks_safely() -> bool:
+    """Return whether a fork of this process finds nothing that a thread was at: it has the main thread only, and the
+    one that waits for signals; libraries have started none.
+    """
+    names = {thread.name for thread in threading.enumerate() if thread is not threading.main_thread()}
+    if threading.current_thread() is not threading.main_thread() or not names <= {_SIGNALS} or not _TASKS.is_dir():
+        return False
+    return sum(1 for _ in _TASKS.iterdir()) == 1 + len(names)
+
+
 def heed_parent() -> None:
     """Let Ctrl-C be the business of the process that started this one, and SIGTERM end it by way of `finally`."""
+    signal.set_wakeup_fd(-1)  # of a process that was forked: signals would be heard by its parent
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit())
+    if hasattr(signal, "pthread_sigmask"):
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {getattr(signal, name) for name in STOPPING})
 
 
 def ended_by(code: int) -> str | None:
@@ -184,7 +199,7 @@ def worker_environment(*, needs_main: bool) -> Iterator[None]:
     if not needs_main:  # spawn runs the file of __main__ again in the child; only functions defined there need that
         sys.modules["__main__"] = types.ModuleType("__main__")
     try:
-        with _interrupt_blocked():
+        with signals_held("SIGINT"):
             yield
     finally:
         sys.modules["__main__"] = main
@@ -196,12 +211,14 @@ def worker_environment(*, needs_main: bool) -> Iterator[None]:
 
 
 @contextmanager
-def _interrupt_blocked() -> Iterator[None]:
-    """Hold Ctrl-C back for the block: it reaches this process afterwards, and never a process started inside."""
+def signals_held(*names: str) -> Iterator[None]:
+    """Hold signals back for the block: they reach this process afterwards. A process that is started inside hears none
+    of them unless it wants to, see `heed_parent`.
+    """
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {getattr(signal, name) for name in names})
     try:
         yield
     finally:

@@ -14,8 +14,10 @@ import tempfile
 import threading
 import time
 import traceback
+import warnings
 from collections.abc import Callable, Generator, Iterable
 from contextlib import suppress
+from contextvars import Context
 from dataclasses import dataclass
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
@@ -29,15 +31,15 @@ import numpy as np
 from camcal import system, urls
 from camcal.errors import ItemsFailed, translated
 from camcal.progress import Item, Outcome, Value
-from camcal.run.process import ended_by, heed_parent, worker_environment
+from camcal.run.process import STOPPING, ended_by, forks_safely, heed_parent, signals_held, worker_environment
 
 _PROCESS_WINDOW = 16  # items ahead per worker, so that one slow item does not stop the others
 _STARTS = 3  # workers in a row that may die before they are ready, until that is called a bug
 _GRACE = 0.5  # seconds a worker has to remove its temporary files when it is told to stop
 _LARGE = 1 << 16  # bytes of an array that is mapped and not copied to every worker
 _ALIGNMENT = 64  # bytes, a line of the processor's cache
-# Processes are forked from a server that has imported what its parent had: they start in no time, and those of a later
-# fan-out too.
+# Processes are forked, from this one where that is safe, else from a server that has imported what this one has: they
+# start in no time, and those of a later fan-out too.
 _FORKS = "forkserver" in multiprocessing.get_all_start_methods()
 _LONGEST_FOLDER = 80  # bytes of the path of temporary files, where the server's socket is: systems take 104 or so
 _LONGEST_WAIT = 3600.0  # seconds that a system's call surely takes
@@ -130,20 +132,28 @@ def _context() -> ForkServerContext | SpawnContext:
     return context
 
 
+_OPEN: set[Connection] = set()  # the ends of pipes to workers that this process holds
+
+
 class _Worker:
     """A process, its pipe, and the item it is at."""
 
     def __init__(self, payload: Payload) -> None:
-        context = _context()
+        forked = _FORKS and forks_safely()
+        context = multiprocessing.get_context("fork") if forked else _context()
         self.pipe, theirs = context.Pipe()
+        _OPEN.add(self.pipe)
         self.ready = False
         self.task: tuple[int, Any] | None = None
         self.deadline = float("inf")
-        if os.name == "posix":  # starting the tracker later would unblock Ctrl-C, which the next line blocks
+        if os.name == "posix" and not forked:  # starting it later would unblock Ctrl-C, which is blocked below
             resource_tracker.ensure_running()
-        with worker_environment(needs_main=b"__main__" in payload.message):
+        held = signals_held("SIGINT", *STOPPING) if forked else worker_environment(needs_main=_has_main(payload))
+        with held, warnings.catch_warnings():
+            # Python 3.12 warns of every thread, also of one that only waits for signals
+            warnings.simplefilter("ignore", DeprecationWarning)
             own = theirs, payload, dict(os.environ), urls.REMOTE.get(), system.KNOWN.get()
-            self.process = context.Process(target=_serve, args=own, daemon=True)
+            self.process = context.Process(target=_serve_forked if forked else _serve, args=own, daemon=True)
             self.process.start()
         theirs.close()
 
@@ -278,6 +288,7 @@ def item_name(item: object) -> str | None:
 def _stop(workers: list[_Worker]) -> None:
     """End worker processes: asked to first, killed after a grace period."""
     for worker in workers:
+        _OPEN.discard(worker.pipe)
         worker.pipe.close()
         worker.process.terminate()
     until = time.monotonic() + _GRACE
@@ -287,6 +298,21 @@ def _stop(workers: list[_Worker]) -> None:
             worker.process.kill()
             worker.process.join()
         worker.process.close()
+
+
+def _has_main(payload: Payload) -> bool:
+    """Return whether a payload is of the main script."""
+    return b"__main__" in payload.message
+
+
+def _serve_forked(*own: Any) -> None:
+    """Work in a process that was forked, without what its parent has open and what that is at."""
+    for pipe in _OPEN:
+        pipe.close()
+    system.release_locks()
+    if "cv2" in sys.modules:
+        sys.modules["cv2"].setNumThreads(1)
+    Context().run(_serve, *own)
 
 
 def _serve(

@@ -201,6 +201,9 @@ def minimise_nonnegative(matrix: Array, vector: Array) -> Array:
     """Return the minimum (n,) of ½ xᵀ A x - bᵀ x over x ≥ 0, A (n, n) positive definite and n small: the lowest of
     those with some of the unknowns at 0 and the others where they would be alone.
     """
+    best = np.linalg.solve(matrix, vector)
+    if (best >= 0).all():
+        return best
     best, lowest = np.zeros(len(vector)), 0.0
     for chosen in product((False, True), repeat=len(vector)):
         free = np.flatnonzero(chosen)

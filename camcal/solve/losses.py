@@ -1,5 +1,6 @@
 """Robust losses ρ(s) of the squared, whitened residual s; ρ(s) = s is least squares."""
 
+import math
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -76,3 +77,19 @@ class Tukey:
     def weight(self, squared: Array) -> Array:
         """Return dρ/ds (M,), at most 1."""
         return np.asarray(np.maximum(1 - squared / self.scale**2, 0) ** 2)
+
+
+def chi_square_beyond(value: float, dof: int) -> float:
+    """Return the probability that the sum of `dof` squared standard normal numbers is more than `value`.
+
+    Its closed form, as SciPy takes longer to import than a small problem to solve.
+    Source: Abramowitz and Stegun 1964, 26.4.4 and 26.4.5.
+    """
+    half = max(value, 0.0) / 2
+    odd = dof % 2
+    total = math.erfc(math.sqrt(half)) if odd else 0.0
+    term = math.exp(-half) * (2 * math.sqrt(half / math.pi) if odd else 1.0)
+    for k in range(dof // 2):
+        total += term
+        term *= half / (k + 1 + odd / 2)
+    return total

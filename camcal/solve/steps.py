@@ -160,14 +160,18 @@ class Factors:
     def solve(self) -> Step:
         """Return the step that minimises the quadratic model."""
         eliminated = self._eliminated
-        shared = -cholesky_solve(self.shared_root, self.reduced_gradient())
+        shared = -self._shared_inverse.T @ (self._shared_inverse @ self.reduced_gradient())
         followed = (eliminated + self.reduced @ shared)[..., None]
         groups = -(self.group_inverse.transpose(0, 2, 1) @ followed)[..., 0]
         return Step(shared, groups)
 
     @cached_property
+    def _shared_inverse(self) -> Array:
+        return np.asarray(lower_inverse(self.shared_root[None])[0])
+
+    @cached_property
     def _shared_covariance(self) -> Array:
-        return cholesky_solve(self.shared_root, np.eye(len(self.shared_root)))
+        return np.asarray(self._shared_inverse.T @ self._shared_inverse)
 
     def shared_covariance(self) -> Array:
         """Return the inverse of the Schur complement (S, S): the covariance of the shared parameters."""
@@ -247,13 +251,6 @@ def lower_inverse(root: Array) -> Array:
         result[:, row] -= (root[:, row, None, :row] @ result[:, :row])[:, 0]
         result[:, row] /= root[:, row, row, None]
     return result
-
-
-def cholesky_solve(root: Array, right: Array) -> Array:
-    """Return A⁻¹ · right for A = root · rootᵀ, root lower triangular."""
-    from scipy.linalg import cho_solve
-
-    return np.asarray(cho_solve((root, True), right)) if len(root) else np.zeros_like(right)
 
 
 @dataclass(frozen=True, eq=False)

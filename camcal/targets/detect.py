@@ -1,4 +1,4 @@
-"""Detection of a board in one image."""
+"""Detection of a board in one image: it is located, then its corners are measured."""
 
 from dataclasses import replace
 
@@ -24,6 +24,16 @@ def detect(
     where its corners are, None for gray itself. The result depends on the pixels and the board only: one thread, one
     seed, and points fitted to the image whatever a detector proposed.
     Raises InvalidInput for another kind of image and for a board that cannot be found, see `require_findable`.
+    """
+    found = locate(gray, board, seed=seed, partial=partial, samples=samples)
+    return measure(samples or MaskedImage(gray), board, found) if found.located else found
+
+
+def locate(
+    gray: Array, board: Board, *, seed: int = SEED, partial: bool = False, samples: MaskedImage | None = None
+) -> BoardDetection:
+    """Return what `detect` does, in a fraction of its time, with checkerboard corners `located`: to a tenth of a pixel
+    or two, without covariance, some of which measuring them may refuse. Tags and circles are measured as they are.
     """
     require_findable(board, partial=partial)
     if gray.ndim != 2 or gray.dtype != "uint8":
@@ -51,7 +61,7 @@ def _found(gray: Array, board: Board, seed: int, samples: MaskedImage | None, *,
             from camcal.targets.checker.chessboard import find_chessboard
 
             detection = find_chessboard(gray, board, partial=partial or board.dots)
-    return measure(samples or MaskedImage(gray), board, detection)
+    return replace(detection, located=detection.found)
 
 
 def require_findable(board: Board, *, partial: bool = False) -> None:

@@ -30,7 +30,8 @@ class BoardDetection(Brief):
     levels. other: the board in sight that is not the one that was searched for. colours: the same points by the samples
     of one colour alone, by its name. blur_px: of the board's edges; motion_px: of the board since the frame before; NaN
     where they were not measured. refused: (M, 2) px, points that were found and are not used, of the board or of a
-    pattern that is not taken for it; for pictures. inverted: the board is white where it is drawn black.
+    pattern that is not taken for it; for pictures. inverted: the board is white where it is drawn black. located: its
+    points are where a detector puts them, to a tenth of a pixel or two, and yet to be measured.
     """
 
     image: str = ""
@@ -50,6 +51,7 @@ class BoardDetection(Brief):
     sha256: str | None = None
     refused: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
     inverted: bool = False
+    located: bool = False
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "ids", readonly(self.ids, (None,), "ids", np.intp))
@@ -86,10 +88,11 @@ class BoardDetection(Brief):
 
     def without_points(self, reason: str) -> "BoardDetection":
         """Return the record of the same image without its points, and why."""
-        nothing = BoardDetection()
-        return replace(
-            self, ids=nothing.ids, pixels=nothing.pixels, covariance=None, colours=nothing.colours, reason=reason
-        )
+        nothing = BoardDetection(reason=reason)
+        points = {
+            name: getattr(nothing, name) for name in ("ids", "pixels", "covariance", "colours", "reason", "located")
+        }
+        return replace(self, **points)
 
     def renumbered(self, numbers: Array) -> "BoardDetection":
         """Return the points with other ids: numbers (C,) holds the new one of every point of the board."""

@@ -9,7 +9,6 @@ import re
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.special import ndtr
 
 from camcal.arrays import Array, readonly
 from camcal.errors import InvalidInput
@@ -57,6 +56,8 @@ class MarkerDrawing:
         The drawing is a sum of quadrants, whose corners the blur turns into bivariate normal distributions; for a
         skewed marker those are correlated: two terms of the tetrachoric series (Pearson 1900).
         """
+        from scipy.special import ndtr
+
         slopes = np.linalg.norm(gradients, axis=2)
         skew = (gradients[:, 0] * gradients[:, 1]).sum(axis=1) / slopes.prod(axis=1)
         skew = np.clip(skew, -_LARGEST_CORRELATION, _LARGEST_CORRELATION)

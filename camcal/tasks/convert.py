@@ -62,8 +62,7 @@ def convert(options: ConvertFileOptions, progress: Progress = SILENT) -> Convert
     file = cameras.read(path, progress, Given(options.given.size, options.given.model), options.second)
     source = cameras.format_of(path)
     if (wanted := options.camera or name) is not None:
-        entry = cameras.select(file, wanted, str(path))  # what joins it to others is left out
-        file = replace(file, cameras={wanted: entry}, transforms={}, joint_covariance=None)
+        file = cameras.only(file, wanted, str(path))
     written = tuple(_convert_file(file, output, source, options) for output in options.outputs)
     report = ConvertReport(source, written)
     claim(report.outputs)

@@ -20,7 +20,7 @@ from camcal.errors import InvalidInput
 from camcal.formats import cameras, native
 from camcal.formats.boards import load_board
 from camcal.formats.camera_file import CameraEntry, CameraFile, ValidRegion
-from camcal.images.files import load
+from camcal.images.files import gray_8bit, load
 from camcal.images.options import ViewOptions
 from camcal.images.remap import build_maps
 from camcal.images.views import make_view
@@ -34,7 +34,9 @@ from camcal.stereo.rectify.options import RectifiedViewOptions
 from camcal.stereo.rectify.plan import PairMaps, build_pair_maps, plan_rectification
 from camcal.stereo.rectify.record import Rectification
 from camcal.targets.board import Board
-from camcal.targets.detection import BoardDetection, Detections
+from camcal.targets.corners.measure import measure
+from camcal.targets.detect import locate
+from camcal.targets.detection import BoardDetection, Detections, MaskedImage
 from camcal.tasks.calibration.board_views import BoardViews
 from camcal.tasks.calibration.calibrate import calibrated, seen_of
 from camcal.tasks.calibration.camera_result import CalibrateReport
@@ -66,6 +68,35 @@ def detect_board(
     with _inputs(images) as inputs:
         report = detect_images(replace(options, inputs=inputs.paths, board=_board(board)), progress)
         return replace(report.detections, views=inputs.renamed(report.detections.views))
+
+
+def locate_board(image: File | Array, board: Board | File) -> BoardDetection:
+    """Return where a board is in one image, in a fraction of the time of `detect_board`: for live views and trials.
+
+    image: a file, or pixels (H, W) gray or (H, W, 3) BGR, uint8 or uint16. board: a board, its file or its short form.
+    The corners of a checkerboard are good to a tenth of a pixel or two and have no covariance until `measure_corners`
+    has measured them; tags and circles are measured as they are. Raises InvalidInput or FileError.
+    """
+    return locate(_gray(image), _board(board))
+
+
+def measure_corners(image: File | Array, board: Board | File, located: BoardDetection) -> BoardDetection:
+    """Return corners of a board of crossing edges measured in an image, with covariance (N, 2, 2) px².
+
+    image, board: as for `locate_board`. located: what that returned, or corners of another program, good to half a
+    pixel. Those that the image does not bear out are left out. Raises InvalidInput for a board of circles, and for ids
+    that the board does not have.
+    """
+    gray, known = _gray(image), _board(board)
+    if located.found and not 0 <= located.ids.min() <= located.ids.max() < known.count:
+        raise InvalidInput(
+            f"ids {located.ids.min()} to {located.ids.max()}: a {known.words} has 0 to {known.count - 1}"
+        )
+    return replace(measure(MaskedImage(gray), known, located), size=gray.shape[::-1])
+
+
+def _gray(image: File | Array) -> Array:
+    return gray_8bit(image if isinstance(image, np.ndarray) else load(Path(image)).pixels)
 
 
 def calibrate_camera(

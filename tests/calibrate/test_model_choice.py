@@ -19,7 +19,7 @@ from camcal.calibrate.influence import influence
 from camcal.calibrate.intrinsics import CandidateModel, Options, calibrate, compare_models
 from camcal.calibrate.jackknife import predict_views
 from camcal.cameras.catalogue import DEFAULT_MODEL, model_named
-from camcal.cameras.directions import in_hull
+from camcal.cameras.directions import in_hull, lens_difference
 from camcal.cameras.observations import Observations
 from camcal.cameras.validity import field_of_view, folds_inside
 from camcal.errors import InsufficientData, InvalidInput, NotConverged
@@ -523,6 +523,67 @@ def test_a_lens_model_that_does_not_pass_is_not_used_while_another_one_does(monk
         assert all(own.failures for own in found.assessment.candidates if own.name in failing)
 
 
+@pytest.mark.parametrize(
+    ("code", "tried"), [("known_region", 2), ("lens_model", 2), ("several_cameras", 1), ("focal_change", 1)]
+)
+def test_a_second_lens_model_is_tried_only_for_what_it_may_remedy(monkeypatch, code, tried):
+    scene, views = lens("opencv5", 8)
+    names = []
+
+    def assess(calibration, _circle=None, candidates=()):
+        names.append(calibration.camera.model.name)
+        return SimpleNamespace(trustworthy=False, failures=(SimpleNamespace(code=code),), candidates=candidates)
+
+    monkeypatch.setattr(model_selection, "judge", lambda candidates, _circle: tuple(candidates))
+    monkeypatch.setattr(model_selection, "assess", assess)
+    select(views, scene.board, OPTIONS)
+    assert len(set(names)) == tried
+
+
+def test_views_that_no_lens_model_fits_are_calibrated_once_and_compared_with_no_other(monkeypatch):
+    scene, views = lens("opencv5", 12)
+    rng = np.random.default_rng(1)
+    mixed = [replace(view, ids=rng.permutation(view.ids)) if index < 3 else view for index, view in enumerate(views)]
+    briefly, full = [], []
+    compare, solve_fully = model_selection.compare_models, model_selection.intrinsics.calibrate
+
+    def compare_and_note(views, board, options, models, start=None):
+        briefly.extend(model.name for model in models)
+        return compare(views, board, options, models, start)
+
+    def calibrate_and_note(views, board, options, start=None):
+        full.append(options.model.name)
+        return solve_fully(views, board, options, start)
+
+    monkeypatch.setattr(model_selection, "compare_models", compare_and_note)
+    monkeypatch.setattr(model_selection.intrinsics, "calibrate", calibrate_and_note)
+    with pytest.raises(InsufficientData, match=r"3 of 12 views rejected .*: leave out view0000.png, view0001.png"):
+        select(mixed, scene.board, OPTIONS)
+    assert (len(briefly), len(full)) == (1, 1)
+
+
+def test_views_that_two_lens_models_find_parallel_are_compared_with_no_third(monkeypatch):
+    scene, views = lens("opencv5", 6)
+    flat = [replace(view, pixels=views[0].pixels + 3.0 * index, ids=views[0].ids) for index, view in enumerate(views)]
+    names, compare = [], model_selection.compare_models
+
+    def compare_and_note(views, board, options, models, start=None):
+        names.extend(model.name for model in models)
+        return compare(views, board, options, models, start)
+
+    monkeypatch.setattr(model_selection, "compare_models", compare_and_note)
+    with pytest.raises(InsufficientData, match="nearly parallel views"):
+        select([replace(view, covariance=None) for view in flat], scene.board, OPTIONS)
+    assert names == ["kannala_brandt4", "opencv5"]
+
+
+def test_a_given_lens_model_that_another_one_beats_is_refused_without_a_whole_calibration(monkeypatch):
+    scene, views = lens("kannala_brandt4", 10)
+    monkeypatch.setattr(model_selection.intrinsics, "calibrate", lambda *_: pytest.fail("a whole calibration"))
+    with pytest.raises(InsufficientData, match="does not fit these views: use --model"):
+        solve_given(views, scene.board, replace(OPTIONS, model=model_named("pinhole")))
+
+
 def test_a_refused_lens_model_is_answered_by_one_that_was_tried_and_passes():
     scene, views = lens("kannala_brandt4", 10)
     try:
@@ -535,6 +596,23 @@ def test_a_refused_lens_model_is_answered_by_one_that_was_tried_and_passes():
     again = solve_given(views, scene.board, replace(OPTIONS, model=model_named(named)))
     assert again.assessment.trustworthy
     assert again.candidates == ()
+
+
+@pytest.mark.parametrize(
+    ("true", "given", "said"),
+    [("kannala_brandt5t", "kannala_brandt4", True), ("opencv8", "opencv8", False), ("opencv5", "opencv8", False)],
+)
+def test_a_given_lens_model_that_predicts_much_worse_says_so_and_its_uncertainty_too(true, given, said):
+    scene, views = lens(true, 12)
+    found = solve_given(views, scene.board, replace(OPTIONS, model=model_named(given)))
+    codes = {message.code for message in found.assessment.messages}
+    assert ("better_model" in codes) == said
+    best = select(views, scene.board, OPTIONS).calibration.camera
+    rms_px = np.sqrt(np.nanmean(lens_difference(found.calibration.camera, best, found.calibration.pixels) ** 2))
+    assert found.assessment.uncertainty.figures()["inside_rms_px"] > 0.5 * rms_px
+    if said:  # unless parameters are held, which others do not know
+        held = replace(OPTIONS, model=model_named(given), fixed=("k3",), guess=found.calibration.camera)
+        assert "better_model" not in {own.code for own in solve_given(views, scene.board, held).assessment.messages}
 
 
 def test_a_lens_model_that_makes_the_views_look_parallel_is_named_as_the_cause():

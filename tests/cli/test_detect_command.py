@@ -51,6 +51,7 @@ def test_json_is_one_document_with_its_schema_first(run, folder, tmp_path):
         "failed",
         "pictures",
         "reused",
+        "timings",
         "warnings",
     ]
     assert told["schema"] == "camcal/detect/1"

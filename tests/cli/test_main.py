@@ -392,8 +392,20 @@ def test_inspecting_the_camera_file_of_a_fisheye_loads_only_what_reads_it(tmp_pa
     command = [sys.executable, "-c", program, "inspect", str(tmp_path / "fish.yaml")]
     process = subprocess.run(command, capture_output=True, text=True, check=True)
     assert "camcal.tasks.calibration.inspect" in process.stderr.split()
-    heavy = {"cv2", "scipy", "matplotlib", "multiprocessing", "camcal.solve.least_squares"}
+    heavy = {"cv2", "scipy", "matplotlib", "multiprocessing", "pydantic", "camcal.solve.least_squares"}
     assert not heavy & set(process.stderr.split())
+
+
+def test_calibrating_imports_what_it_needs_and_no_scipy():
+    program = (
+        "import sys, cv2, numpy as np, camcal\n"
+        "from camcal.tasks.calibration.calibrate import calibrate\n"
+        "import camcal.targets.checker.chessboard\n"
+        "print(*sys.modules)"
+    )
+    process = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert "camcal.calibrate.fit" in process.stdout.split()
+    assert not {"scipy", "matplotlib", "rich", "rawpy", "jinja2"} & set(process.stdout.split())
 
 
 def test_no_command_imports_the_core_before_it_is_run():

@@ -75,7 +75,7 @@ def test_poses_are_printed_as_a_table_and_written(folder, capsys):
 def test_json_is_one_document_with_its_schema_first(folder, capsys):
     assert run("camera.yaml", "--points", "points.csv", "--json", "--pose", "object_T_camera") == 0
     document = json.loads(capsys.readouterr().out)
-    assert list(document) == ["schema", *FILE_KEYS, "failed", "pictures", "reused", "warnings"]
+    assert list(document) == ["schema", *FILE_KEYS, "failed", "pictures", "reused", "timings", "warnings"]
     assert document["schema"] == "camcal/pnp/1"
     assert list(document["poses"][0]) == POSE_KEYS
     # 0.2 px of noise at 500 px and 0.7 m

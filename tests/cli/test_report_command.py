@@ -13,7 +13,8 @@ from report_scenes import SCENES, camera_of, detections_of
 from camcal.cli.main import app
 from camcal.errors import InsufficientData
 from camcal.formats import detections, native
-from camcal.formats.camera_file import CameraEntry, CameraFile
+from camcal.formats.camera_file import CameraEntry, CameraFile, Transform
+from camcal.geometry.pose import Pose
 from camcal.report.page.thumbnails import PHOTO, photograph
 from camcal.tasks.calibration.options import CalibrateOptions
 from camcal.tasks.reports import carried as carried_data
@@ -221,6 +222,17 @@ def test_the_json_document_of_a_report(run, here):
         "warnings": [],
     }
     assert "Unknown</h2>" in Path("report.html").read_text(encoding="utf-8")
+
+
+def test_a_report_of_one_camera_of_a_rig_is_of_that_camera_alone(run, here):
+    entry = CameraEntry(camera_of(SCENES["good"]))
+    apart = Transform(Pose(np.eye(3), np.array([-0.1, 0.0, 0.0])))
+    native.write(Path("rig.yaml"), CameraFile({"left": entry, "right": entry}, {"right_T_left": apart}))
+    code, out, err = run("report", "rig.yaml#left", "-o", "report.html", "--json")
+    assert (code, err) == (0, "")
+    assert json.loads(out)["cameras"] == ["left"]
+    page = Path("report.html").read_text(encoding="utf-8")
+    assert ("Camera left" in page, "Camera right" in page, "right_T_left" in page) == (True, False, False)
 
 
 def test_options_of_detections_are_refused_for_a_camera_file(run, here):

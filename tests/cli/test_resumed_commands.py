@@ -48,6 +48,8 @@ def test_the_document_of_a_finished_run_is_repeated(run, photographs):
     command = ("detect", "photos", "--board", "chessboard:5x4", "-o", "corners.csv", "--resume", "--jobs", 1, "--json")
     first, again = (json.loads(run(*command)[1]) for _ in range(2))
     assert (first.pop("reused"), again.pop("reused")) == (0, 2)
+    assert first.pop("timings").keys() == {"detecting"}
+    assert again.pop("timings") == {}
     assert {**first, "warnings": []} == {**again, "warnings": []}
 
 

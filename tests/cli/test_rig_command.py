@@ -135,6 +135,7 @@ def test_the_json_document(run, table, tmp_path):
         "frames",
         "failed",
         "reused",
+        "timings",
         "warnings",
     ]
     assert found["schema"] == "camcal/rig/1"

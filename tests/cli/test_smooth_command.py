@@ -302,7 +302,7 @@ def test_files_that_are_none_have_their_exits(run, turning, tmp_path):
     assert "not observed: velocity of x (1 measurements, model cv needs 2" in err
     (tmp_path / "huge.csv").write_text("t,x\n0,1e300\n1,2e300\n2,1e300\n3,2e300\n")
     code, _, err = run("smooth", tmp_path / "huge.csv")
-    assert (code, "measurements of more than 1e+50" in err) == (2, True)
+    assert (code, "huge.csv:2: a measurement of more than 1e+50" in err) == (2, True)
     still = "".join(f"{t} 0 0 {0.01 * (t % 3 + t % 5)} 0 0 0 1\n" for t in range(20))
     (tmp_path / "still.tum").write_text(still)
     code, _, err = run("smooth", tmp_path / "still.tum")

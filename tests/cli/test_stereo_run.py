@@ -201,6 +201,23 @@ def test_what_makes_no_run_is_said_in_one_line(run, tmp_path, arguments, message
     assert not (tmp_path / "result").exists()
 
 
+@pytest.mark.parametrize(
+    ("option", "value", "message"),
+    [
+        ("--voxel", "0", "the side of a voxel must be positive, found 0"),
+        ("--max-points", "0", "at least one point is needed, found 0"),
+        ("--crop", "1,2", "--crop needs six numbers"),
+        ("--frame", "north", "frame 'north' is unknown"),
+    ],
+)
+def test_options_that_no_cloud_is_made_with_are_refused_before_a_pair_is_matched(
+    run, tmp_path, rig, option, value, message
+):
+    folder = tmp_path / "result"
+    code, _, err = run("stereo", "run", rig.file, rig.left, rig.right, "-o", folder, *QUICK, option, value)
+    assert (code, message in err, folder.exists()) == (2, True, False)
+
+
 def test_a_file_of_one_camera_is_no_rig(run, tmp_path, rig):
     file = native.read(rig.file)
     path = tmp_path / "camera.yaml"

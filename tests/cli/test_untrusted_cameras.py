@@ -59,7 +59,7 @@ def folder(tmp_path, monkeypatch):
         save(tmp_path / f"{name}.png", tag)
     for name in ("flat", "flat/0", "flat/1"):
         disparity.write(tmp_path / f"{name}.pfm", flat)
-    (tmp_path / "points.csv").write_text("u,v\n10,20\n")
+    (tmp_path / "points.csv").write_text("u,v\n10,20\n150,100\n")
     return tmp_path
 
 
@@ -92,7 +92,7 @@ def test_a_view_that_shows_more_than_the_verdict_holds_for_is_said(run, folder, 
     assert native.read(folder / "out" / "camera.yaml").cameras["left"].verdict == CalibrationVerdict(trustworthy=True)
 
 
-@pytest.mark.parametrize("command", ["pnp", "pnp --rig", "track", "stereo rectify"])
+@pytest.mark.parametrize("command", ["pnp", "pnp --rig", "track", "stereo rectify", "undistort --points"])
 def test_poses_and_pairs_from_where_the_verdict_does_not_hold_are_said(run, folder, command):
     for right, said in ((159.0, False), (60.0, True)):
         corners = np.array([[0.0, 0.0], [right, 0.0], [right, 119.0], [0.0, 119.0]])
@@ -103,7 +103,7 @@ def test_poses_and_pairs_from_where_the_verdict_does_not_hold_are_said(run, fold
         shown = "the view" if command == "stereo rectify" else "the points"
         found = [line for line in err.splitlines() if "verdict on the camera does not hold" in line]
         assert len(found) == said, err
-        assert all("left" in line or command in ("pnp", "track") for line in found)
+        assert all("left" in line or command in ("pnp", "track", "undistort --points") for line in found)
         assert all(f"% of {shown}, where" in line for line in found)
 
 

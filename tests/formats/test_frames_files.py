@@ -91,6 +91,7 @@ def test_a_transform_says_where_it_stands(tmp_path):
         ("a_T_b: {quaternion: [1.0, 0.0, 0.0, 0.0], t: [0.0, 0.0, 0.0]}", "quaternion: a list is not a mapping"),
         ("a_T_b: {euler: {axes: ZYX}, t: [0.0, 0.0, 0.0]}", "angles as deg or as rad"),
         ("a_T_b: {euler: {axes: ZZX, deg: [0.0, 0.0, 0.0]}, t: [0.0, 0.0, 0.0]}", "three of XYZ"),
+        ("a_T_b: {euler: {axes: ZYX, deg: [1.0e+9, 0.0, 0.0]}, t: [0.0, 0.0, 0.0]}", "more than 1e+06 rad"),
         (f"ab: {{{PLAIN}}}", "is not a transform name such as a_T_b"),
         (f"a_T_b_T_c: {{{PLAIN}}}", "is not a transform name such as a_T_b"),
         (f"a_T_b-c: {{{PLAIN}}}", "is not a valid name: letters and digits"),

@@ -32,6 +32,8 @@ def test_columns_are_taken_by_name_and_empty_cells_are_missing(tmp_path, missing
         (TEXT.replace("\n2,3", "\n1,3"), (), "a.csv:4: time 1.000000000 s is not later"),
         (TEXT.replace("2,3,4", "2,three,4"), (), "a.csv:4: x: 'three' is not a number"),
         (TEXT.replace("2,3,4", "2,inf,4"), (), "a.csv:4: x: inf is not finite"),
+        (TEXT.replace("2,3,4", "2,-2e50,4"), (), "a.csv:4: a measurement of more than 1e+50"),
+        (TEXT.replace("0.2\n1", "2e50\n1"), (), "a.csv:2: a sigma of more than 1e+50"),
         ("0,1\n1,2\n", (), "no column names"),
         ("t,x,x\n0,1,2\n", (), "'x' occurs twice"),
         (TEXT, ("time", "x", "x"), "one twice"),

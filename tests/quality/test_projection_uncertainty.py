@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.optimize import least_squares
 
 from camcal.cameras.catalogue import MODELS, model_named
+from camcal.cameras.directions import lens_difference
 from camcal.cameras.model import Camera
 from camcal.cameras.validity import ImageCircle
 from camcal.errors import InvalidInput
@@ -75,6 +77,34 @@ def test_a_lens_that_is_known_exactly_has_no_uncertainty():
     found = projection_uncertainty(opencv5(np.zeros((9, 9))), observed=CORNERS)
     assert not found.covariances.any()
     assert set(found.figures().values()) == {0.0}
+
+
+@pytest.mark.parametrize("fitted", [None, "corners"])
+def test_the_difference_of_two_lenses_is_that_after_the_rotation_between_them(fitted):
+    camera = opencv5()
+    # as another lens model sees it: the principal point 12 px off, which is nearly a rotation
+    other = opencv5(parameters=PARAMETERS + np.array([5.0, 6.0, 12.0, -9.0, 0.004, 0.0, 1e-4, 0.0, 0.0]))
+    found = projection_uncertainty(camera, observed=CORNERS)
+    chosen = found.inside if fitted else np.ones(len(found.pixels), bool)
+    rays = camera.unproject(found.pixels).directions
+
+    def apart(turn):
+        return other.project(rays @ so3.exp(turn).T).pixels - found.pixels
+
+    best = least_squares(lambda turn: apart(turn)[chosen].ravel(), np.zeros(3), xtol=1e-14, ftol=1e-14, gtol=1e-14).x
+    difference = lens_difference(camera, other, found.pixels, found.inside if fitted else None)
+    np.testing.assert_allclose(difference, apart(best), atol=1e-6)
+    assert np.linalg.norm(best) > 0.015  # more than one linear step reaches
+
+
+def test_where_either_lens_has_no_image_the_difference_is_not_known():
+    straight = Camera(model_named("pinhole"), SIZE, np.array([800.0, 802.0, 645.0, 474.0]))
+    folding = opencv5(parameters=np.array([*straight.parameters, -0.3, 0.0, 0.0, 0.0, 0.0]))  # 562 px off its centre
+    pixels = np.array([[640.0, 480.0], *CORNERS, *(CORNERS + 20), [645.0 + 880.0, 474.0]])
+    for one, other in ((straight, folding), (folding, straight)):
+        difference = lens_difference(one, other, pixels)
+        assert np.isnan(difference[-1]).all()
+        assert np.isfinite(difference[:-1]).all()
 
 
 @pytest.mark.parametrize("name", MODELS)

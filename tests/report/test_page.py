@@ -112,6 +112,15 @@ def test_failures_come_before_the_key_figures_and_warnings_after_them():
     assert html.count("This is a ") == 2
 
 
+@pytest.mark.parametrize(("count", "folded"), [(2, 0), (3, 0), (4, 1), (7, 4)])
+def test_three_warnings_are_shown_and_the_others_folded(count, folded):
+    messages = tuple(ShownMessage("warning", "", f"Number {index}.") for index in range(count))
+    html = rendered(bare(messages=messages))
+    assert (f"<summary>{folded} more</summary>" in html) == bool(folded)
+    inside = html[html.index("<details>") : html.index("</details>")] if folded else ""
+    assert [f"Number {index}." in inside for index in range(count)] == [False] * min(count, 3) + [True] * folded
+
+
 def test_sections_come_in_the_order_in_which_they_are_read(good):
     titles = re.findall(r"<h2 id=\"[\w-]+\">(?:<svg.*?</svg>)?([^<]+)</h2>", good, flags=re.DOTALL)
     assert [title.strip() for title in titles] == [

@@ -64,7 +64,7 @@ def children() -> list[int]:
         parents[process] = parent
         if parent == os.getpid() and "forkserver" in command:
             servers.add(process)
-        if parent == os.getpid() and "spawn_main" in command:
+        if parent == os.getpid() and ("spawn_main" in command or command == Path("/proc/self/cmdline").read_text()):
             spawned.append(process)
     return spawned + [process for process, parent in parents.items() if parent in servers]
 
@@ -339,6 +339,7 @@ def test_ctrl_c_drops_the_items_that_threads_have_not_begun(start_python, tmp_pa
     assert len(list(tmp_path.iterdir())) < 500  # all of them would take 25 s
 
 
+ONE_BLAS_THREAD = {"OPENBLAS_NUM_THREADS": "1"}
 MAIN_FUNCTION = """
 from camcal.run.fanout import fan_out
 
@@ -350,6 +351,43 @@ if __name__ == "__main__":
 """
 
 
+PARENTS = """
+import os
+import signal
+import sys
+import threading
+
+from camcal import system
+from camcal.cli import main
+from camcal.run.fanout import fan_out
+
+main.prepare()
+if "--thread" in sys.argv:
+    threading.Thread(target=threading.Event().wait, daemon=True).start()
+
+def parent(number):
+    if number == 1:
+        os.kill(os.getpid(), signal.SIGTERM)  # is heard by this process, and not by the one that waits for its result
+    return os.getppid() == MAIN, len(system._LOCKED)
+
+MAIN = os.getpid()
+if __name__ == "__main__":
+    with system.held(__import__("pathlib").Path(__file__)):
+        print([outcome.value for outcome in fan_out(parent, range(3), jobs=2, processes=True)])
+        print(len(system._LOCKED))
+"""
+
+
+@pytest.mark.parametrize("thread", [(), ("--thread",)])
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="needs /proc/self/task")
+def test_workers_are_forked_from_this_process_where_no_thread_is_at_work(tmp_path, thread):
+    (tmp_path / "script.py").write_text(PARENTS)
+    words = [sys.executable, tmp_path / "script.py", *thread]
+    done = subprocess.run(words, capture_output=True, text=True, check=False, env=os.environ | ONE_BLAS_THREAD)
+    forked = not thread
+    assert done.stdout == f"[({forked}, 0), None, ({forked}, 0)]\n1\n", done.stderr
+
+
 def test_a_function_of_the_main_script_works_too(tmp_path):
     (tmp_path / "script.py").write_text(MAIN_FUNCTION)
     done = subprocess.run([sys.executable, tmp_path / "script.py"], capture_output=True, text=True, check=False)
@@ -358,7 +396,9 @@ def test_a_function_of_the_main_script_works_too(tmp_path):
 
 @pytest.mark.slow
 def test_a_main_script_without_a_guard_is_told_so(tmp_path):
-    (tmp_path / "script.py").write_text(MAIN_FUNCTION.replace('if __name__ == "__main__":', "if True:"))
+    thread = "import threading\n\nthreading.Thread(target=threading.Event().wait, daemon=True).start()\n"
+    script = MAIN_FUNCTION.replace('if __name__ == "__main__":', "if True:")
+    (tmp_path / "script.py").write_text(thread + script)  # beside a thread nothing is forked, and the script runs again
     done = subprocess.run([sys.executable, tmp_path / "script.py"], capture_output=True, text=True, check=False)
     assert done.returncode == 1
     assert "`if __name__ == '__main__':`" in done.stderr.splitlines()[-1]

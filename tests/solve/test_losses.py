@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
+from scipy.special import gammaincc
 
 from camcal.solve.differentiate import central_jacobian
-from camcal.solve.losses import Cauchy, Huber, SoftL1, Tukey
+from camcal.solve.losses import Cauchy, Huber, SoftL1, Tukey, chi_square_beyond
 
 LOSSES = [Huber(1.5), Cauchy(1.5), SoftL1(1.5), Tukey(1.5)]
 BY_NAME = pytest.mark.parametrize("loss", LOSSES, ids=lambda loss: type(loss).__name__)
@@ -41,3 +42,10 @@ def test_far_residuals_pull_evenly_less_and_less_or_not_at_all():
     np.testing.assert_allclose(pulls[SoftL1], 1.5, rtol=2e-4)  # its distance from Huber's at 60 scales
     np.testing.assert_allclose(pulls[Cauchy][0] / pulls[Cauchy][1], 2, rtol=1e-3)
     np.testing.assert_array_equal(pulls[Tukey], 0)
+
+
+@pytest.mark.parametrize("dof", range(1, 12))
+def test_the_tail_of_chi_square_is_that_of_the_incomplete_gamma_function(dof):
+    for value in (0.0, 1e-9, 0.3, 1.0, 7.0, 40.0, 300.0):
+        np.testing.assert_allclose(chi_square_beyond(value, dof), gammaincc(dof / 2, value / 2), rtol=1e-13)
+    assert chi_square_beyond(-1e-12, dof) == 1.0  # gains by rounding

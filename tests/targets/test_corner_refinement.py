@@ -12,6 +12,7 @@ from camcal.geometry.pose import Pose
 from camcal.simulate.render import Exposure, render
 from camcal.targets.board import Board
 from camcal.targets.corners.measure import Expected, remeasure, seen_cells, signs
+from camcal.targets.detect import detect, locate
 from camcal.targets.detection import BoardDetection, MaskedImage
 
 BOARD = Board("chessboard", 8, 6, 0.03)
@@ -82,6 +83,37 @@ def test_a_corner_that_is_drawn_far_from_where_it_was_found_is_left_out(off, kep
     start = known.pixels.copy()
     start[20] += [off, 0.0]
     assert (20 in remeasure(MaskedImage(photograph()), BoardDetection(ids=ids, pixels=start), known).ids) == kept
+
+
+def test_located_corners_are_measured_as_well_as_measured_ones():
+    known, image = expected(), photograph()
+    located = locate(image, BOARD)
+    assert located.located
+    assert located.covariance is None
+    off = np.linalg.norm(located.pixels - known.pixels, axis=1)
+    assert np.sqrt(np.mean(off**2)) < 0.2  # px, what "located" promises
+    once = remeasure(MaskedImage(image), located, known)
+    again = remeasure(MaskedImage(image), detect(image, BOARD), known)
+    assert not once.located
+    np.testing.assert_array_equal(once.ids, again.ids)
+    np.testing.assert_allclose(once.pixels, again.pixels, atol=2e-3)  # where steps of the fit end
+    np.testing.assert_allclose(once.covariance, again.covariance, rtol=0.02, atol=1e-6)
+
+
+@pytest.mark.parametrize(("off", "kept"), [(0.7, True), (9.0, False)])
+def test_a_located_corner_may_be_further_off_than_one_that_was_measured(off, kept):
+    known, ids = expected(), np.arange(BOARD.count)
+    start = known.pixels.copy()
+    start[20] += [off, 0.0]
+    view = BoardDetection(ids=ids, pixels=start, located=True)
+    found = remeasure(MaskedImage(photograph()), view, known)
+    assert (20 in found.ids) == kept
+    assert [20.0] * (not kept) == [float(np.flatnonzero((start == point).all(axis=1))[0]) for point in found.refused]
+
+
+def test_a_located_view_of_which_too_little_is_seen_stays_located():
+    view = BoardDetection(ids=np.arange(3), pixels=expected().pixels[:3], located=True)
+    assert remeasure(MaskedImage(np.full((400, 480), 90, np.uint8)), view, expected()) is view
 
 
 @pytest.mark.parametrize(("contrast", "recovered"), [(0.2, False), (0.5, True)])

@@ -119,7 +119,8 @@ def test_images_without_a_time_in_their_exif_are_named(tmp_path):
         ("0.1\nsoon\n0.3\n", "times.txt:2: 'soon' is not a time"),
         ("0.1\n0.1\n0.3\n", "0011.png: 0.1 s is the time of the frame before"),
         ("0.3\n0.1\n0.4\n", "0011.png: 0.1 s is a time before the frame before"),
-        ("0.1\nnan\n0.3\n", "0011.png: nan s is a time before"),
+        ("0.1\nnan\n0.3\n", "times.txt:2: a time of nan s"),
+        ("0.1\n0.2\n1e13\n", "times.txt:3: a time of 1e+13 s"),
         ("0.1 img_0010.png\n0.2 img_0011.png\n0.3 x.png\n", "has no time of img_0013.png"),
     ],
 )
@@ -129,6 +130,7 @@ def test_a_file_that_does_not_fit_is_refused_with_its_place(tmp_path, text, word
     with pytest.raises(InvalidInput) as caught:
         times(Timing(source=str(path)))
     assert words in str(caught.value)
+    assert str(caught.value).startswith(f"{path}:")
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,8 @@ from camcal.cameras.model import Camera
 from camcal.cameras.validity import ImageCircle, folds_inside
 from camcal.formats import detections, native
 from camcal.formats.camera_file import CameraEntry, CameraFile, ValidRegion
-from camcal.quality.lens_choice import judge, rank_models
+from camcal.quality.assess import judge
+from camcal.quality.lens_choice import rank_models
 from camcal.raw.options import AS_IMAGES
 from camcal.simulate.scene import observe, views
 from camcal.targets.board import Board

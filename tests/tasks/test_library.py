@@ -1,10 +1,15 @@
 """The functions that programs call: arrays and files give the same numbers, and nothing is written unasked."""
 
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
 import cv2
 import numpy as np
 import pytest
 
 import camcal
+from camcal.tasks.calibration.calibrate import calibrated, seen_of
 from camcal.tasks.simulation.options import SimulateOptions
 from camcal.tasks.simulation.simulate import simulate
 
@@ -53,6 +58,46 @@ def test_detections_lead_to_the_calibration_without_refinement(images, report):
     by_views = camcal.calibrate_camera(found.views, BOARD, OPTIONS)
     np.testing.assert_array_equal(by_record.camera.parameters, by_views.camera.parameters)
     np.testing.assert_allclose(by_record.camera.K, report.camera.K, atol=0.5)
+
+
+def test_locating_and_measuring_a_board_is_detecting_it(images):
+    located = camcal.locate_board(images[0], BOARD)
+    measured = camcal.measure_corners(images[0], BOARD, located)
+    [detected] = camcal.detect_board(images[0], BOARD, camcal.DetectOptions(jobs=1)).views
+    assert located.located
+    assert located.covariance is None
+    np.testing.assert_array_equal(measured.ids, detected.ids)
+    np.testing.assert_array_equal(measured.pixels, detected.pixels)
+    np.testing.assert_array_equal(measured.covariance, detected.covariance)
+    assert measured.size == (320, 240)
+
+
+def test_corners_of_another_program_are_measured_and_those_of_circles_are_not(images):
+    [detected] = camcal.detect_board(images[0], BOARD, camcal.DetectOptions(jobs=1)).views
+    rounded = camcal.BoardDetection(ids=detected.ids, pixels=np.rint(detected.pixels))
+    measured = camcal.measure_corners(images[0], BOARD, rounded)
+    off = np.linalg.norm(measured.pixels - detected.pixels[np.isin(detected.ids, measured.ids)], axis=1)
+    assert len(off) > 0.9 * len(detected.ids)
+    assert np.median(off) < 5e-3
+    with pytest.raises(camcal.InvalidInput, match="checkerboard corners"):
+        camcal.measure_corners(images[0], "circles:6x5:25mm", rounded)
+    with pytest.raises(camcal.InvalidInput, match=r"ids 0 to 29: a .* has 0 to 11"):
+        camcal.measure_corners(images[0], "chessboard:4x3:25mm", rounded)
+
+
+def test_an_image_that_is_gone_when_corners_are_measured_costs_itself_only(scene, tmp_path):
+    paths = [shutil.copy(path, tmp_path) for path in scene.images]
+    board = camcal.load_board(BOARD)
+
+    def look():
+        seen = seen_of(replace(OPTIONS, inputs=tuple(paths)), board)
+        (tmp_path / Path(paths[3]).name).unlink()
+        return seen
+
+    report = calibrated(look, OPTIONS)
+    reasons = [view.reason for view in report.calibration.views]
+    assert reasons[3] == "the image can no longer be read"
+    assert reasons[:3] + reasons[4:] == [None] * 7
 
 
 def test_views_without_a_board_are_refused(images):

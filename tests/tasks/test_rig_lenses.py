@@ -14,10 +14,11 @@ from camcal.errors import InvalidInput
 from camcal.formats import native
 from camcal.formats.camera_file import CameraEntry, CameraFile
 from camcal.progress import SILENT
+from camcal.quality.lens_choice import better_model
 from camcal.simulate.scene import observe, views
 from camcal.targets.board import Board
 from camcal.tasks.rigs.options import RigSettings
-from camcal.tasks.rigs.rig_lenses import given_lenses, require_sizes, rig_models, starting, together
+from camcal.tasks.rigs.rig_lenses import GivenLens, given_lenses, require_sizes, rig_models, starting, together
 
 BOARD = Board("chessboard", 8, 6, 0.03)
 NARROW = Camera(model_named("opencv5"), (640, 480), [600.0, 600, 320, 240, -0.1, 0.05, 1e-4, -1e-4, 0.0])
@@ -45,7 +46,7 @@ def test_a_fisheye_beside_narrow_lenses_gets_a_model_of_its_own():
     assert set(found.candidates) == {("left", "right"), ("top",)}
 
 
-def test_models_that_are_asked_for_are_not_compared():
+def test_models_that_are_asked_for_are_taken_and_compared_with_the_usual_ones():
     seen = captures(left=NARROW, right=NARROW)
     found = rig_models(seen, BOARD, RigSettings(models=("opencv5", "right=fisheye")), {}, FLAT, {})
     assert {name: model.name for name, model in found.models.items()} == {
@@ -53,6 +54,25 @@ def test_models_that_are_asked_for_are_not_compared():
         "right": "kannala_brandt4",
     }
     assert not found.candidates
+    assert {own.name for own in found.candidates_of("left")} == {"opencv5", "kannala_brandt4"}
+    assert better_model("opencv5", found.candidates_of("left")) is None
+    assert better_model("kannala_brandt4", found.candidates_of("right")) is None
+
+
+def test_a_model_that_was_asked_for_and_predicts_much_worse_is_told_by_a_usual_one():
+    seen = captures(left=FISHEYE, right=FISHEYE)
+    found = rig_models(seen, BOARD, RigSettings(models=("left=opencv12",)), {}, FLAT, {})
+    assert better_model("opencv12", found.candidates_of("left")).name == "kannala_brandt4"
+    assert better_model(found.models["right"].name, found.candidates_of("right")) is None
+
+
+def test_lenses_that_are_held_are_compared_with_none():
+    seen, known = captures(left=NARROW, right=NARROW), {name: GivenLens(NARROW, name) for name in ("left", "right")}
+    found = rig_models(
+        seen, BOARD, RigSettings(lenses="fixed", guess=("rig.yaml",), models=("opencv5",)), known, FLAT, {}
+    )
+    assert not found.beside
+    assert list(found.candidates_of("left")) == []
 
 
 def test_scores_of_cameras_together_are_those_of_all_their_views():

@@ -137,6 +137,7 @@ CAMERA_COMMANDS = (
     "pnp {file}#left --points seen.csv -o {out}_poses.yaml",
     "stereo rectify {file} left.png right.png -o {out}_rectified -j 1",
     "transform check {file}",
+    "report {file} -o {out}.html",
     "simulate chessboard:5x4:20mm {file}#left -o {out}_made --views 1 -j 1",
 )
 BOARDS: tuple[dict[str, Any], ...] = (

@@ -13,7 +13,7 @@ import untrusted_seeds
 from untrusted_readers import READERS
 
 HARNESS = Path(__file__).parents[2] / "benchmarks" / "fuzz.py"
-CASES = 205  # every reader once
+CASES = 206  # every reader once
 QUICK = ("inspect", "optics", "transform check", "transform eval", "transform invert", "transform chain")
 
 
@@ -44,6 +44,14 @@ def test_damaged_files_end_in_one_line_and_a_documented_exit():
     )
     assert done.returncode == 0, done.stdout + done.stderr
     assert f"{2 * CASES} cases, 0 violations" in done.stdout
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="memory is limited as Linux does")
+def test_absurd_numbers_in_texts_are_refused_with_their_line_or_do_no_harm():
+    done = subprocess.run([sys.executable, HARNESS, "--numbers", "71"], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert ", 0 violations" in done.stdout
 
 
 @pytest.mark.slow

@@ -22,12 +22,27 @@ WORDS = (
     "\x1b[31mred\x1b[0m", "\u202e", "\u2028", "\x00", "\r", "a\nb", "=cmd|' /C calc'!A0", "@SUM(1)", "../../x", "😀",
     "A" * 300, '"', "'", "#", ":", "- ", "{", "[", "&a", "*a", "!!python/object:os.system", "%", "\ufeff", "\\", ",,,",
 )  # fmt: skip
+ABSURD = (0.0, *(sign * size for size in (1e-300, 1e-30, 1e-9, 1e9, 1e30, 1e300) for sign in (1.0, -1.0)))
 _NOT_UTF8 = (b"\xff", b"\xc3", b"\xed\xa0\x80", b"\xc0\x80", b"\xf5\x80\x80\x80", b"\xe2\x82", b"\x80" * 40)
 _NUMBER = re.compile(rb"[-+]?[0-9]+\.?[0-9]*(?:[eE][-+]?[0-9]+)?")
+_FIELD = re.compile(r"(?<![\w.])-?\d+(?:\.\d*)?(?:[eE][-+]?\d+)?(?![\w.])")  # a number that stands alone
+_NUMBERED_FILE = re.compile(r"\d+(?=\.png)")
 _VALUE = re.compile(rb"[:,=][ \t]*([^\s,:=\]}]+)")
 _KINDS = ("null", "true", "[]", "{}", "[1, 2]", '["a"]', '{"a": 1}', '""', "text", "1", "-1.5", "2026-11-21", "[[[]]]")
 _TEXT_HEADER = 400  # bytes at the start of a binary file in which its numbers may stand as text
 _SIZES = (0, 1, 0x7F, 0xFF, 0x7FFF, 0xFFFF, 0x10000, 0x7FFFFFFF, 0x80000000, 0xFFFFFFFF, 20000, 65535 * 4)
+
+
+def fields(text: str) -> list[tuple[int, int]]:
+    """Return where the numbers of a text file stand: of lines that differ in nothing else, those of the middle one."""
+    places: dict[tuple[str, int], list[tuple[int, int]]] = {}
+    start = 0
+    for line in text.splitlines(keepends=True):
+        form = _FIELD.sub("#", _NUMBERED_FILE.sub("", line))
+        for index, number in enumerate(_FIELD.finditer(line)):
+            places.setdefault((form, index), []).append((start + number.start(), start + number.end()))
+        start += len(line)
+    return [alike[len(alike) // 2] for alike in places.values()]
 
 
 def cut_off(content: bytes, rng: np.random.Generator) -> bytes:

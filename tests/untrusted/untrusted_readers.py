@@ -139,7 +139,7 @@ READERS: Sequence[Reader] = (
     Reader("rig.csv", "rig FILE -o OUT/r.yaml --model opencv5 --jobs 1"),
     Reader("rig.csv", "stereo calibrate FILE -o OUT/r.yaml --model opencv5 --jobs 1"),
     Reader("detections.csv", "report FILE -o OUT/r.html --model opencv5"),
-    *(Reader(name, "report FILE -o OUT/r.html") for name in ("camera.yaml", "rig.yaml")),
+    *(Reader(name, "report FILE -o OUT/r.html") for name in ("camera.yaml", "rig.yaml", "ros.yaml", "camchain.yaml")),
     Reader("report.html", "rerun FILE -o OUT"),
     *(Reader(name, "plot FILE -o OUT") for name in _DRAWN),
     Reader("path.tum", "plot GOOD/path.tum --reference FILE -o OUT"),

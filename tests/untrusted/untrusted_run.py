@@ -29,6 +29,7 @@ for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 
 import untrusted_mutations  # noqa: E402
 import untrusted_seeds  # noqa: E402
+from untrusted_mutations import ABSURD  # noqa: E402
 from untrusted_readers import READERS, Reader  # noqa: E402
 
 MEMORY = 700 << 20  # bytes that a command may take beyond what its imports have
@@ -37,6 +38,8 @@ TIME_S = 20.0  # of the processor
 DOCUMENTED = {0, 2, 3, 4, 5, 6, 7}
 WITHOUT_OUTPUT = {2, 3, 4, 5}
 LONGEST_LINE = 4100
+LONGEST_S = 5.0  # of the processor, for an absurd number
+TEXTS = {".yaml", ".yml", ".xml", ".json", ".csv", ".txt", ".tum", ".vnl"}
 
 _CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2028\u2029]")
 _WARNING = re.compile(r"\w+Warning:")
@@ -161,6 +164,24 @@ def case(good: Path, reader: Reader, seed: int) -> Case:
     return Case(reader, "+".join(names), seed, content)
 
 
+def cases_of_numbers(good: Path, only: str) -> list[tuple[Reader, tuple[int, int], float]]:
+    """Return the readers of texts, where a number stands in their files, and absurd values for it."""
+    found = []
+    for reader in readers_of(only):
+        if (good / reader.file).suffix in TEXTS:
+            text = (good / reader.file).read_text(encoding="utf-8")
+            found += [(reader, at, value) for at in untrusted_mutations.fields(text) for value in ABSURD]
+    return found
+
+
+def case_of_number(good: Path, number: int, reader: Reader, at: tuple[int, int], value: float) -> Case:
+    """Return the case of an absurd value at a place of a reader's file."""
+    text = (good / reader.file).read_text(encoding="utf-8")
+    first, last = at
+    words = f"line {text.count(chr(10), 0, first) + 1}: {text[max(first - 20, 0) : last]!r} is {value!r}"
+    return Case(reader, words, number, (text[:first] + repr(value) + text[last:]).encode())
+
+
 def run(case: Case, good: Path, room: Path, largest: int = resource.RLIM_INFINITY) -> Ended:
     """Run a case in an empty folder `room` and return how it ended; largest: bytes that it may write to a file."""
     shutil.rmtree(room, ignore_errors=True)
@@ -225,6 +246,20 @@ def violations_of_full_disk(ended: Ended) -> list[str]:
         found.append(f"exit {ended.code}")
     if ended.code == 3 and "cannot be written: File too large" not in ended.err:
         found.append(f"said {ended.err.strip()[-160:]!r}")
+    return found
+
+
+def violations_of_number(case: Case, ended: Ended) -> list[str]:
+    """Return what a command did wrong with an absurd number: a usage error names the file, and nothing takes long.
+
+    Of a settings file it may name the value alone, as of one on the command line.
+    """
+    found = violations(ended)
+    settings = "--config FILE" in case.reader.command
+    if ended.code == 2 and f"{case.reader.file}:" not in ended.err and not settings:
+        found.append(f"no place in {ended.err.strip()[-160:]!r}")
+    if ended.seconds > LONGEST_S:
+        found.append(f"{ended.seconds:.1f} s")
     return found
 
 

@@ -3,12 +3,14 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from itertools import combinations
+from types import MappingProxyType
 
 import numpy as np
 
 from camcal.arrays import Array
 from camcal.calibrate import intrinsics
 from camcal.calibrate.between_views import between_views
+from camcal.calibrate.fit import CalibrationFit
 from camcal.calibrate.intrinsics import Calibration, Solved
 from camcal.calibrate.rigs.effects import SHIFT
 from camcal.calibrate.rigs.epipolar import epipolar_by_capture
@@ -37,7 +39,7 @@ def calibrate_rig(captures: Captures, board: Board, options: RigOptions) -> RigC
     """
     if len(captures.cameras) < 2:
         raise InvalidInput("a rig needs two cameras or more")
-    cameras = _alone(captures, board, options)
+    cameras = _alone(captures, board, options, options.starts)
     links = cameras.links(board)
     found = mistakes(cameras.described(), links, board, captures.names)
     if found.excluded:
@@ -92,8 +94,16 @@ class _Cameras:
         ]
 
 
-def _alone(captures: Captures, board: Board, options: RigOptions) -> _Cameras:
-    """Return the cameras calibrated from their own views; raises the first error unless two of them can be."""
+def _alone(
+    captures: Captures,
+    board: Board,
+    options: RigOptions,
+    starts_of: Mapping[str, CalibrationFit] = MappingProxyType({}),
+) -> _Cameras:
+    """Return the cameras calibrated from their own views; raises the first error unless two of them can be.
+
+    starts_of: see RigOptions, where no capture is left out.
+    """
     names, places, starts = [], [], []
     refused: dict[str, CamcalError] = {}
     _require_different(captures)
@@ -102,7 +112,7 @@ def _alone(captures: Captures, board: Board, options: RigOptions) -> _Cameras:
         there = [index for index, row in enumerate(captures.views) if row[camera] is not None]
         views = [view for view in captures.of(camera) if view is not None]
         try:
-            solved = intrinsics.solve(views, board, how)
+            solved = intrinsics.solve(views, board, how, starts_of.get(name))
         except (InsufficientData, NotConverged) as error:
             other = next((view.other for view in views if view.other is not None), None)
             hint = f"; its images show a {other.words}" if other is not None else ""

@@ -7,7 +7,7 @@ import numpy as np
 
 from camcal.arrays import FloatArray
 from camcal.brief import Brief
-from camcal.calibrate.fit import ShapeOptions
+from camcal.calibrate.fit import CalibrationFit, ShapeOptions
 from camcal.calibrate.intrinsics import Calibration
 from camcal.cameras.lens import CameraModel
 from camcal.cameras.model import Camera
@@ -74,7 +74,8 @@ class RigOptions:
     lenses: joint estimates them with the rig; fixed holds the `given` cameras; prior starts at them, with their
     covariances as prior. given: by the names of cameras. motion: whether the board may have moved between the exposures
     of a capture, None: where the data show it. others: lens models that predict about alike, by the names of cameras;
-    how far the poses of the cameras move with them counts as uncertainty.
+    how far the poses of the cameras move with them counts as uncertainty. starts: brief fits of cameras alone, of all
+    their views with their models, to go on from.
     """
 
     models: Mapping[str, CameraModel]
@@ -84,6 +85,7 @@ class RigOptions:
     max_rejected: float = 0.1
     motion: bool | None = None
     others: Mapping[str, CameraModel] = field(default_factory=dict)
+    starts: Mapping[str, CalibrationFit] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

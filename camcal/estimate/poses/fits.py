@@ -35,7 +35,9 @@ _MIN_POINTS_FOR_OUTLIER = 6  # points of which one can be told to be wrong by th
 _ESTIMATIONS = 3  # of noise and inliers in turns
 _EQUAL = 1e-6  # share by which the costs of poses that are the same may differ
 _FAR = 25.0  # times the limit of a squared residual: from there, no point is thought to be right
-_TURNS = 3  # of the share of wrong points and the limit that follows
+_RARE = 1e-3  # probability of a right view beyond the limit of its squared residuals
+_FEWEST_VIEWS, _VIEW_ROUNDS = 6, 20
+_TURNS = 3  # of the share of wrong points, or of the noise, and what follows from it
 
 Starts = tuple[Array, Array]  # states (S, 3, 4) and the items (S,) they are of
 _NO_STARTS: Starts = np.zeros((0, 3, 4)), np.zeros(0, np.intp)
@@ -105,36 +107,66 @@ def fits_of(groups: Sequence[Group], options: PoseOptions) -> tuple[list[PoseFit
         for _ in range(_ESTIMATIONS):
             criterion = criterion_of(options, _robust_noise(fits))
             fits = [_agreeing(fit, options, criterion) for fit in fits]
-        noise = pooled(fits, criterion)
+        noise = pooled(fits, criterion, whole=criterion.whole)
     fits = [_likeliest(fit, options, noise.sigma) for fit in fits]
-    return fits, given or pooled(fits)
+    return fits, given or pooled(fits, whole=criterion.whole)
 
 
-def pooled(fits: Sequence[PoseFit], criterion: InlierCriterion | None = None) -> ResidualNoise:
+def pooled(fits: Sequence[PoseFit], criterion: InlierCriterion | None = None, *, whole: int = 0) -> ResidualNoise:
     """Return the noise that the residuals of all fits tell; criterion: what cut off the largest, if anything did.
 
     Minima that fit nearly as well as the lowest count by their probability: the lowest of two is less than the true
-    one's on average, as it is the other one's part of the time.
+    one's on average, as it is the other one's part of the time. whole: views of fewer points have all of them, and of
+    several such views those whose residuals are no noise of the others do not count.
     """
-    dof, variances = 0, 0.0
-    for fit in fits:
-        each = 2 * fit.problems.counts - 6
-        cut = criterion is not None and fit.problems.counts >= criterion.whole
-        dof += int(each.sum())
-        variances += float(np.sum(each * np.where(cut, KEPT_VARIANCE, 1.0)))
-    least = sum(float(2 * fit.minima.cost[lowest(fit.minima)].sum()) for fit in fits)
-    if variances > 0 and least > 0:
-        least = sum(_expected_squares(fit.minima, least / variances) for fit in fits)
-    return ResidualNoise(max(float(np.sqrt(least / max(variances, 1.0))), ROUNDING), dof)
+    best = [fit.minima.take(lowest(fit.minima)) for fit in fits]
+    counts = [fit.problems.counts[minima.which] for fit, minima in zip(fits, best, strict=True)]
+    count = np.concatenate([np.zeros(0, np.intp), *counts])
+    each = 2 * count - 6
+    shares = np.full(len(count), 1.0 if criterion is None else KEPT_VARIANCE)
+    if criterion is not None:
+        shares[count < criterion.whole] = 1.0
+    squares = np.concatenate([np.zeros(0), *(2 * minima.cost for minima in best)])
+    for _ in range(_TURNS):
+        kept, cut = _sound_views(squares, each, shares, count < whole)
+        variance = float(squares[kept].sum() / max((each * cut)[kept].sum(), 1.0))
+        if not variance > 0:
+            break
+        squares = np.concatenate([_expected_squares(fit.minima, variance) for fit in fits])
+    return ResidualNoise(max(float(np.sqrt(variance)), ROUNDING), int(each[kept].sum()))
 
 
-def _expected_squares(minima: Minima, variance: float) -> float:
-    """Return the expected sum of the squares of all problems, each at its minima by their probability."""
+def _sound_views(squares: Array, dof: Array, shares: Array, few: Array) -> tuple[Array, Array]:
+    """Return which views (P,) count, and the share of the variance that their squares (P,) have on average.
+
+    few: the views of which any may hold a wrong point. Such a one is off by more than what 99.9 % of right ones stay
+    below, by the noise of those that count, to begin with by the median.
+    """
+    from scipy.special import chdtr, chdtri
+
+    judged = few & (dof > 0)
+    every = np.ones(len(squares), dtype=bool)
+    if np.count_nonzero(judged) < _FEWEST_VIEWS:
+        return every, shares
+    limits = chdtri(np.maximum(dof, 1), _RARE)
+    cut = np.where(judged, chdtr(dof + 2, limits) / chdtr(np.maximum(dof, 1), limits), shares)
+    variance = float(np.median(squares[judged] / chdtri(dof[judged], 0.5)))
+    kept = every
+    for _ in range(_VIEW_ROUNDS):
+        before, kept = kept, ~judged | (squares <= limits * variance)
+        variance = float(squares[kept].sum() / max((dof * cut)[kept].sum(), 1.0))
+        if np.array_equal(kept, before):
+            break
+    return kept, cut
+
+
+def _expected_squares(minima: Minima, variance: float) -> Array:
+    """Return the expected sums of squares (P,) of the problems, each at its minima by their probability."""
     first = lowest(minima)
     least = np.repeat(minima.cost[first], np.diff(first, append=len(minima.which)))
     odds = np.exp(-(minima.cost - least) / variance)
     squares = np.bincount(minima.which, 2 * odds * minima.cost)
-    return float(np.sum(squares[minima.which[first]] / np.bincount(minima.which, odds)[minima.which[first]]))
+    return np.asarray(squares[minima.which[first]] / np.bincount(minima.which, odds)[minima.which[first]])
 
 
 def points_needed(options: PoseOptions) -> int:

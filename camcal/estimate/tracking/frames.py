@@ -43,7 +43,7 @@ class FrameCosts(ABC):
     there: (N, P) the parts that frames have. floors: (N, P) likelihood of a wrong part over that of a perfect one.
     coordinates: the numbers that a part measures. divided: the powers of a factor on their noise that fields are
     divided by. overstated: by how much -2 ln of the evidence is too large, 1 where the likelihood is that of the
-    measurement.
+    measurement. overstated_ahead: the same of hypotheses that know some frames only, by the noise of a first pass.
     """
 
     there: Array
@@ -51,6 +51,7 @@ class FrameCosts(ABC):
     coordinates: ClassVar[int]
     divided: ClassVar[dict[str, int]]
     overstated: ClassVar[float] = 1.0
+    overstated_ahead: ClassVar[float] = 2.0  # docs/mathematics.md
 
     @abstractmethod
     def squares(self, rotations: Array, translations: Array) -> Array:
@@ -201,6 +202,7 @@ class PoseFrames(FrameCosts):
     # Near the frontal view a normal density is not the likelihood, and neighbouring frames have the same error of it:
     # so many frames count as one (docs/mathematics.md).
     overstated: ClassVar[float] = 8.0
+    overstated_ahead: ClassVar[float] = 4.0
 
     @classmethod
     def of(cls, measurements: PoseMeasurements, unknown: Array, gate: float) -> "PoseFrames":

@@ -230,7 +230,7 @@ class _Run:
         self, forward: Forward, found: NoiseFit, whole: Searched, lag: int, noise: ProcessNoise | None
     ) -> PixelTrack:
         """Return the estimate of each frame from the frames up to `lag` later ones."""
-        states, covariances, p_wrong = lagged(forward, lag, FAR)
+        states, covariances, p_wrong = lagged(forward, lag, FAR, self.frames.overstated_ahead)
         path = _Path.of(forward, len(self.stamps) - 1)
         kinds = np.array([_best_kind(forward, frame) for frame in range(path.first, len(self.stamps))])
         shakes = process_noise.covariance_for(found.jitter_std, states.translations)
@@ -341,10 +341,10 @@ def _gains(spread: Array, expected_spread: Array, growth: Array) -> Array:
     return np.asarray(np.linalg.solve(expected_spread, growth @ spread).swapaxes(-1, -2))
 
 
-def lagged(forward: Forward, lag: int, far: float) -> tuple[MotionState, Array, Array]:
+def lagged(forward: Forward, lag: int, far: float, overstated: float) -> tuple[MotionState, Array, Array]:
     """Return the states (M), covariances (M, S, S) and chances (M) that another pose holds, from the first detection.
 
-    far: angle (rad) from which on a pose is another one.
+    far: angle (rad) from which on a pose is another one. overstated: by how much differences of costs are too large.
     """
     known = [hypotheses for hypotheses in forward.frames if hypotheses is not None]
     last = len(known) - 1
@@ -368,7 +368,7 @@ def lagged(forward: Forward, lag: int, far: float) -> tuple[MotionState, Array, 
         for whole, part in zip(states, filtered.moved(step), strict=True):
             whole[rows] = part
         covariances[rows] = (after + after.swapaxes(-1, -2)) / 2
-    return states, covariances, _wrong(known, newest, states.rotations, far)
+    return states, covariances, _wrong(known, newest, states.rotations, far, overstated)
 
 
 def _gathered(
@@ -381,14 +381,14 @@ def _gathered(
     return MotionState(*map(np.stack, zip(*chosen, strict=True))), spread
 
 
-def _wrong(known: list[Hypotheses], newest: Array, rotations: Array, far: float) -> Array:
+def _wrong(known: list[Hypotheses], newest: Array, rotations: Array, far: float, overstated: float) -> Array:
     """Return the weight (M) of the hypotheses at the newest frames that were at another pose."""
     result = np.zeros(len(newest))
     for frame, last in enumerate(newest):
         hypotheses = known[last]
         if len(hypotheses.costs) == 1:
             continue
-        weights = np.exp(-(hypotheses.costs - hypotheses.costs.min()) / 2)
+        weights = np.exp(-(hypotheses.costs - hypotheses.costs.min()) / (2 * overstated))
         which = np.arange(len(weights))
         for back in range(last, frame, -1):
             which = known[back].parents[which]

@@ -97,7 +97,7 @@ class JitterStd:
 
 
 FADING = 0.3  # s, in which accelerations fade
-_CHOICE_ROUNDS, _ROUNDS_SHAKEN = 5, 8
+_ROUNDS = 12
 _STEPS = 3  # of Gauss-Newton between two changes of the noise
 _NO_WORSE = 2.0  # of -2 ln evidence, that a cause of shakes must be worth
 _SETTLED = 0.5  # of -2 ln evidence, below which no round is made
@@ -151,7 +151,6 @@ def fit_noise(
     jitter_std: JitterStd,
     *,
     tune: bool = True,
-    rounds: int = _CHOICE_ROUNDS,
 ) -> NoiseFit:
     """Return the track with the densities and shaking at the highest evidence, from given ones on.
 
@@ -159,28 +158,26 @@ def fit_noise(
     """
     chains = _shaken(chains, states, jitter_std)
     track = solved(chains, motion, states)
-    spread = spread_of(track)
-    for _ in range(rounds):
+    best = NoiseFit(track, spread_of(track), jitter_std)
+    for _ in range(_ROUNDS):
+        track, jitter_std = best.track, best.jitter_std
         if tune and (chains.linked & ~chains.begun).any():
-            motion = replace(motion, densities=tuned_densities(track, spread))
+            motion = replace(motion, densities=tuned_densities(track, best.spread))
+        elif not jitter_std.any:
+            break
         if jitter_std.any:
             used = chains.used
             places = track.states.translations[used]
-            jitter_std = jitter_std.likelier(places, track.pulls[used], spread.informed[used])
+            jitter_std = jitter_std.likelier(places, track.pulls[used], best.spread.informed[used])
             chains = _shaken(chains, track.states, jitter_std)
-        elif not tune:
-            break
-        before = float(track.evidence.sum())
         track = solved(chains, motion, track.states, _STEPS, track.pulls)
-        spread = spread_of(track)
-        if abs(float(track.evidence.sum()) - before) < _SETTLED:
+        if float(track.evidence.sum()) > best.evidence:  # pixels that fit were given up: the start may lead elsewhere
+            track = solved(chains, motion, states)
+        before, found = best.evidence, NoiseFit(track, spread_of(track), jitter_std)
+        best = min(best, found, key=lambda each: each.evidence)
+        if best.evidence > before - _SETTLED:
             break
-    found = NoiseFit(track, spread, jitter_std)
-    if not jitter_std.any:
-        return found
-    # While the noise was sought, pixels that fit may have been given up: the start may lead to a better end.
-    again = solved(chains, motion, states)
-    return min(found, NoiseFit(again, spread_of(again), jitter_std), key=lambda each: each.evidence)
+    return best
 
 
 def _shaken(chains: Chains, states: MotionState, jitter_std: JitterStd) -> Chains:
@@ -212,7 +209,7 @@ def chosen(found: NoiseFit, *, distance: float, tune: bool = True) -> NoiseFit:
     if not best.jitter_std.any:
         track = best.track
         guess = JitterStd.guess(distance)
-        tried = fit_noise(track.chains, track.motion, track.states, guess, tune=tune, rounds=_ROUNDS_SHAKEN)
+        tried = fit_noise(track.chains, track.motion, track.states, guess, tune=tune)
         if tried.evidence < best.evidence - _BETTER:
             best = _simpler(tried, tune=tune)
     return best

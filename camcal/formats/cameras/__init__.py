@@ -103,6 +103,11 @@ def select(file: CameraFile, name: str | None, where: str) -> CameraEntry:
     return file.cameras[name or names[0]]
 
 
+def only(file: CameraFile, name: str, where: str) -> CameraFile:
+    """Return a file with one of its cameras; what joins it to others is left out."""
+    return replace(file, cameras={name: select(file, name, where)}, transforms={}, joint_covariance=None)
+
+
 def format_for(path: Path, wanted: str | None, source: CameraFormat, *, by_suffix: bool = False) -> CameraFormat:
     """Return the format to write to a path: the one that is wanted, or the only one its suffix can mean.
 

@@ -112,14 +112,10 @@ def _entry(values: Values, given: Given) -> CameraEntry:
         raise values.wrong("distortion_model", f"{lens!r} is not one of {', '.join(MODELS.values())}")
     model = _LENSES[lens]
     fx, fy, cx, cy = values.numbers("intrinsics", 4).tolist()
-    if not (fx > 0 and fy > 0):
-        raise values.wrong("intrinsics", f"fu {fx:g} and fv {fy:g} must be > 0")
+    values.require_focal("intrinsics", fx, fy)
     count = _COUNTS[model]
     coefficients = values.numbers("distortion_coeffs", count) if count else np.zeros(0)
-    sides = values.numbers("resolution", 2).tolist() if "resolution" in values else None
-    if sides is not None and (min(sides) < 1 or any(side != int(side) for side in sides)):
-        raise values.wrong("resolution", "is not a width and height in pixels")
-    size = given.size(None if sides is None else (int(sides[0]), int(sides[1])), values.document.where)
+    size = given.size(values.sides("resolution") if "resolution" in values else None, values.document.where)
     kept = {key: values.data[key] for key in _KEPT if key in values}
     return CameraEntry(camera_of(model, size, (fx, fy, cx, cy), coefficients), extra={VENDOR_KEY: kept} if kept else {})
 

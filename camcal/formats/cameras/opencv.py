@@ -35,6 +35,7 @@ from camcal.formats.cameras.record import (
 from camcal.formats.documents import Document
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import JOINT
+from camcal.parsing import LARGEST
 
 FISHEYE = "kannala_brandt4"
 MODELS = ("opencv5", "opencv8", "opencv12", "opencv14", FISHEYE)
@@ -159,17 +160,14 @@ def _size(values: Values) -> tuple[int, int] | None:
     if width is not None and height is not None:
         return values.side(width), values.side(height)
     if (key := _first(values, _SIZE)) is not None and isinstance(values.data[key], list):
-        sides = values.numbers(key, 2).tolist()
-        if min(sides) < 1 or any(side != int(side) for side in sides):
-            raise values.wrong(key, "is not a width and height in pixels")
-        return int(sides[0]), int(sides[1])
+        return values.sides(key)
     return None
 
 
 def _quality(values: Values) -> Mapping[str, float]:
     rms, count = _first(values, _RMS), _first(values, _COUNT)
     found: dict[str, float] = {}
-    if rms is not None and isinstance(values.data[rms], (int, float)) and 0 <= values.data[rms] < np.inf:
+    if rms is not None and isinstance(values.data[rms], (int, float)) and 0 <= values.data[rms] <= LARGEST:
         found["rms_px"] = float(values.data[rms])
     if count is not None and type(values.data[count]) is int and values.data[count] > 0:
         found["images_used"] = values.data[count]

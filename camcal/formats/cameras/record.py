@@ -14,7 +14,7 @@ from camcal.cameras.model import Camera
 from camcal.errors import InvalidInput
 from camcal.formats.camera_file import CameraFile
 from camcal.formats.documents import Document, Fault, child
-from camcal.formats.schema import LARGEST_SIDE
+from camcal.formats.schema import FOCAL_LENGTH, LARGEST_SIDE, number
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
 from camcal.messages import Message
@@ -25,6 +25,7 @@ CAMERA, LEFT, RIGHT = "camera", "left", "right"  # names of cameras whose file g
 ROUNDED = 1e-4  # orthonormality error of rotations that other programs have rounded
 
 _EXACT = 1e-6
+_NUMBER = number()  # within the bounds of every number of a file
 _CHANNELS = {"d", "f", "i", "u", "w", "s", "c", "n", "b"}  # one number each, OpenCV's letters for types
 
 
@@ -171,6 +172,13 @@ class Values:
             raise self.wrong(key, f"{value:g} is not a number of pixels")
         return int(value)
 
+    def sides(self, key: str) -> tuple[int, int]:
+        """Return the width and height of an image, pixels."""
+        width, height = self.numbers(key, 2).tolist()
+        if not all(1 <= side <= LARGEST_SIDE and side == int(side) for side in (width, height)):
+            raise self.wrong(key, f"{width:g} x {height:g} is not a width and height in pixels")
+        return int(width), int(height)
+
     def numbers(self, key: str, *counts: int) -> Array:
         """Return the finite numbers (N,) of a list, a matrix or one number; counts: how many there may be."""
         return self.matrix_of(key, *counts).ravel()
@@ -221,13 +229,15 @@ class Values:
 
     def _finite(self, key: str, item: Any) -> float:
         try:
-            number = parse_number(item) if isinstance(item, str) else float(item)
+            value = parse_number(item) if isinstance(item, str) else float(item)
         except (TypeError, ValueError, OverflowError):
-            number = np.nan
-        if not np.isfinite(number) or isinstance(item, bool):
+            value = np.nan
+        if not np.isfinite(value) or isinstance(item, bool):
             shown = repr(item)[:40] if isinstance(item, (str, int, float)) else "a list or mapping"
             raise self.wrong(key, f"{shown} is not a finite number")
-        return number
+        for fault in _NUMBER(value, ""):
+            raise self.wrong(key, fault.text)
+        return value
 
     def camera_matrix(self, key: str) -> tuple[float, float, float, float]:
         """Return fx, fy, cx, cy of a camera matrix (3, 3), pixels."""
@@ -237,9 +247,14 @@ class Values:
             raise self.wrong(key, "possibly transposed: cx, cy in the last row")
         if not np.array_equal(matrix, [(fx, 0, cx), (0, fy, cy), (0, 0, 1)]):
             raise self.wrong(key, "is not fx 0 cx, 0 fy cy, 0 0 1; camcal's lens models have no skew")
-        if not (fx > 0 and fy > 0):
-            raise self.wrong(key, f"fx {fx:g} and fy {fy:g} must be > 0")
+        self.require_focal(key, fx, fy)
         return fx, fy, cx, cy
+
+    def require_focal(self, key: str, *lengths: float) -> None:
+        """Raise InvalidInput for focal lengths, pixels, that no camera has."""
+        for name, length in zip(("fx", "fy"), lengths, strict=True):
+            for fault in FOCAL_LENGTH(length, ""):
+                raise self.wrong(key, f"{name}: {fault.text}")
 
     def pose(self, key: str, rotation: Array, translation: Array) -> Pose:
         """Return the pose of a rotation (3, 3), the nearest one if it was rounded, and a translation (3,)."""

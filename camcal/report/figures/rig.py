@@ -248,7 +248,9 @@ def _of_camera(file: CameraFile, name: str, entry: CameraEntry) -> Iterator[Plot
     camera, circle = entry.camera, entry.image_circle
     yield field_angle(camera, circle)
     if camera.covariance is not None and camera.covariance.any():
-        yield uncertainty_map(projection_uncertainty(camera, circle=circle), camera.image_size, circle)
+        known = projection_uncertainty(camera, circle=circle)
+        if known.figures():  # else no pixel is in the domain of the lens
+            yield uncertainty_map(known, camera.image_size, circle)
         matrix = correlations(camera)
         if matrix is not None:
             yield matrix

@@ -8,6 +8,7 @@ from math import degrees, isfinite
 import numpy as np
 
 from camcal.calibrate.intrinsics import Calibration, CandidateModel
+from camcal.calibrate.view_records import shown_name
 from camcal.cameras.model import Camera
 from camcal.cameras.validity import ImageCircle, field_of_view
 from camcal.messages import Message, counted
@@ -101,7 +102,7 @@ def key_figures(camera: CalibratedCamera) -> Iterator[Figure]:
         "Views used", f"{used} of {views}", f"{views - used} without a usable board or rejected" if used < views else ""
     )
     corners, rejected = len(calibration.residuals), len(calibration.rejected)
-    yield Figure("Corners used", f"{corners}", f"{rejected} rejected")
+    yield Figure("Corners used", f"{corners}", f"{rejected} rejected" if rejected else "")
     width, height = lens.image_size
     horizontal, vertical, _ = (degrees(angle) for angle in field_of_view(lens, camera.circle))
     angles = f", field of view {horizontal:.1f}° x {vertical:.1f}°" if isfinite(horizontal + vertical) else ""
@@ -194,7 +195,7 @@ def images_section(camera: CalibratedCamera) -> Section:
     )
     rows = [
         [
-            view.image,
+            shown_name(view.image),
             "yes" if view.used else "no",
             f"{view.kept or view.points}",
             "" if view.rms_px is None else f"{view.rms_px:.3g}",
@@ -252,7 +253,7 @@ def refused_page(
     shown_views = [
         corner_thumbnail(each, photos.get(photo_key(each.camera, each.image), "")) for each in detected[:MOST]
     ]
-    rows = [[photo_key(view.camera, view.image), f"{len(view.ids)}", view.reason or ""] for view in views]
+    rows = [[photo_key(view.camera, shown_name(view.image)), f"{len(view.ids)}", view.reason or ""] for view in views]
     table = Table.of("All images", ("image", "corners", "no corners because"), rows)
     lines = ["Blue dots: detected corners. The corner ids of all views have to be those of the board that is given."]
     return Page(

@@ -20,6 +20,7 @@ GOOD, WEAK, BAD, REFUSED, UNKNOWN = "good", "weak", "bad", "refused", "unknown"
 FAILURE, WARNING = "failure", "warning"
 
 _LISTED = 20  # rows of a table that is not folded
+_MOST_WARNINGS = 3  # that are not folded
 _NUMBER = re.compile(r"[+-]?[\d.]+(e[+-]?\d+)?( / \d+)?")
 _ASSETS = files("camcal.report") / "assets" / "page"
 _TEMPLATES = ("page.html", "parts.html")
@@ -167,7 +168,11 @@ class Page:
 
 def rendered(page: Page) -> str:
     """Return the text of the page; the same record gives the same text."""
-    return _environment().get_template("page.html").render(page=page, style=_style(), data=_data)
+    return (
+        _environment()
+        .get_template("page.html")
+        .render(page=page, style=_style(), data=_data, most_warnings=_MOST_WARNINGS)
+    )
 
 
 @cache

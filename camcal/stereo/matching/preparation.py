@@ -226,8 +226,12 @@ def _align(pair: GrayPair, residual: Residual) -> tuple[GrayPair, float]:
     correction = row_correction(residual)
     if correction is None:
         return pair, 0.0
-    right, deep_right = (align_rows(image, correction) for image in (pair.right, pair.deep_right))
-    left, deep_left = (_without_partnerless_rows(image, correction) for image in (pair.left, pair.deep_left))
+    right, left = align_rows(pair.right, correction), _without_partnerless_rows(pair.left, correction)
+    deep_right, deep_left = right, left
+    if pair.deep_right is not pair.right:
+        deep_right = align_rows(pair.deep_right, correction)
+    if pair.deep_left is not pair.left:
+        deep_left = _without_partnerless_rows(pair.deep_left, correction)
     return GrayPair(left, right, deep_left, deep_right, pair.noise), residual.trend.rms
 
 

@@ -16,7 +16,6 @@ from camcal.images.remap import Maps
 from camcal.opencv import resized
 from camcal.stereo.disparity import LIMITS
 from camcal.stereo.pair.coarse import (
-    PIXELS,
     Matches,
     as_counts,
     coarse_map,
@@ -47,7 +46,8 @@ _LEAST_SCATTER = 1e-3  # px; of images made by shifting one of them
 _LEAST_SPREAD = 1.0  # px by which disparities must vary to tell how rows depend on them
 
 # corners that are followed
-_MOST = 800
+_TRACKED = 5e5  # pixels of the image they are followed in: of a larger one it is reduced to that
+_MOST = 400
 _QUALITY = 0.01  # of the best corner's
 _APART = 5.0  # px
 _BLOCK = 5
@@ -303,7 +303,7 @@ def track_corners(left: Array, right: Array, coarse: Array | None = None) -> Mat
     left, right = require_pair(left, right)
     coarse = coarse_map(left, right).disparities if coarse is None else coarse
     size = left.shape[1], left.shape[0]
-    scale = min(1.0, sqrt(PIXELS / left.size))
+    scale = min(1.0, sqrt(_TRACKED / left.size))
     first, second = (image if scale == 1 else resized(image, scale) for image in (left, right))
     corners = _corners(first, np.isfinite(coarse))
     guesses = corners - np.column_stack([_look_up(coarse, corners, first.shape) * scale, np.zeros(len(corners))])
@@ -317,6 +317,7 @@ def track_corners(left: Array, right: Array, coarse: Array | None = None) -> Mat
         np.zeros(int(kept.sum())),
         size,
         contrast_of(left, right),
+        _TRACKED,
     )
 
 

@@ -261,7 +261,7 @@ class Matches:
 
     left, right: (N, 2) pixels, column and row. turns: (N,) radians from the left feature's direction to the right
     one's, -π … π, positive clockwise. size: (width, height) of the images. contrast: standard deviation of the gray
-    levels in the image that has less, counts.
+    levels in the image that has less, counts. searched: pixels that the images were reduced to.
     """
 
     left: Array
@@ -269,6 +269,7 @@ class Matches:
     turns: Array
     size: tuple[int, int]
     contrast: float
+    searched: float = PIXELS
 
     def __post_init__(self) -> None:
         count = len(self.left)
@@ -279,7 +280,7 @@ class Matches:
     @property
     def coarseness(self) -> float:
         """Side of the pixels that features were searched for in, pixels of the images."""
-        return max(1.0, sqrt(self.size[0] * self.size[1] / PIXELS))
+        return max(1.0, sqrt(self.size[0] * self.size[1] / self.searched))
 
 
 def match_features(left: Array, right: Array) -> Matches:

@@ -227,6 +227,14 @@ def thinned(stream: VertexStream, voxel: float | None = None, max_points: int | 
 _LARGEST_KEY = 2**62
 
 
+def require_thinning(size: float | None, wanted: int | None) -> None:
+    """Raise InvalidInput for the side of a voxel that is none, and for less than one point."""
+    if size is not None and not (np.isfinite(size) and size > 0):
+        raise InvalidInput(f"the side of a voxel must be positive, found {size:g}")
+    if wanted is not None and wanted < 1:
+        raise InvalidInput(f"at least one point is needed, found {wanted}")
+
+
 def one_per_voxel(vertices: Array, size: float) -> Array:
     """Return one vertex for each cube of a grid that holds any, in the order of the cubes.
 
@@ -235,8 +243,7 @@ def one_per_voxel(vertices: Array, size: float) -> Array:
     have wrong is much the same, so that a mean of many is hardly better than one.
     Raises InvalidInput unless the side is positive and the cubes can be counted.
     """
-    if not (np.isfinite(size) and size > 0):
-        raise InvalidInput(f"the side of a voxel must be positive, found {size:g}")
+    require_thinning(size, None)
     _, cube, count = np.unique(_keys(vertices, size), return_inverse=True, return_counts=True)
     merged = np.empty(len(count), vertices.dtype)
     for name in vertices.dtype.names or ():
@@ -280,8 +287,7 @@ def drawn(count: int, wanted: int) -> Array:
 
     Raises InvalidInput if `wanted` is less than 1.
     """
-    if wanted < 1:
-        raise InvalidInput(f"at least one point is needed, found {wanted}")
+    require_thinning(None, wanted)
     taken = np.ones(count, bool)
     if count > wanted:
         taken[np.random.default_rng(0).choice(count, count - wanted, replace=False, shuffle=False)] = False

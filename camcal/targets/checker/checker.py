@@ -9,11 +9,11 @@ the picture of a corner, its derivatives by both directions and a plane. A few r
 and Matthews 2004, inverse compositional alignment).
 """
 
+import math
 from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
-from scipy.special import erf
 
 from camcal import opencv
 from camcal.arrays import Array
@@ -318,6 +318,7 @@ def _stencil(beside: float) -> _Stencil:
     plane = np.stack([np.ones_like(u), u, v], axis=1)
     blur = BLURS[-1]
     slope_u, slope_v = (np.sqrt(2 / np.pi) / blur * np.exp(-((w / blur) ** 2) / 2) for w in (u, v))
+    erf = np.vectorize(math.erf)  # a few values once, for which SciPy's would have to be imported
     side_u, side_v = (erf(w / np.sqrt(2) / blur) for w in (u, v))
     design = np.column_stack([np.ones_like(u), side_u * side_v, slope_u * side_v, side_u * slope_v])
     without = np.eye(len(u)) - plane @ np.linalg.pinv(plane)

@@ -19,7 +19,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import KDTree
 
 from camcal import opencv
 from camcal.arrays import Array
@@ -161,8 +160,7 @@ def patterns(saddles: Saddles) -> list[Array]:
 def _links(saddles: Saddles) -> Array:
     """Return the next corner (N, 4) along the edge in each quadrant from the dark sector on, clockwise, -1 if none."""
     count = len(saddles.pixels)
-    nearest = KDTree(saddles.pixels).query(saddles.pixels, k=min(NEAREST + 1, count))
-    distance, other = (np.asarray(column)[:, 1:] for column in nearest)
+    distance, other = (column[:, 1:] for column in opencv.nearest_points(saddles.pixels, min(NEAREST + 1, count)))
     way = saddles.pixels[other] - saddles.pixels[:, None]
     angle = np.arctan2(way[..., 1], way[..., 0])
     quadrant = _quadrant(angle - saddles.dark[:, None])

@@ -1,8 +1,8 @@
 """Refinement of detected corners of a board, with covariance.
 
-They are measured along the edges that cross at the points of the board as printed, from how blurred its edges are. Who
-knows the lens and where the board is looks once more: corners that were found are measured again along the edges as the
-lens bends them, corners that were missed are searched for where they must be.
+They are measured along the edges that cross at the points of the board as printed, from how blurred its edges are.
+Where the lens and the pose of the board are known, they are measured along the edges as the lens bends them, and those
+that were missed are searched for where they must be.
 """
 
 from collections.abc import Callable, Sequence
@@ -31,7 +31,7 @@ _ROUNDS = 3  # where corners are so close that each is seen in its neighbours' p
 
 
 def measure(samples: MaskedImage, board: Board, detection: BoardDetection) -> BoardDetection:
-    """Return what was seen of a board of crossing edges with its corners measured; those that are none are left out.
+    """Return what was located of a board of crossing edges with its corners measured; those that are none are left out.
 
     detection: its corners are good to half a pixel or so.
     """
@@ -41,7 +41,7 @@ def measure(samples: MaskedImage, board: Board, detection: BoardDetection) -> Bo
     blur = blur_of(values, pixels)
     near = refine(values, pixels, _cells(board, ids, pixels, values, blur)[0].narrow(), blur, sites, _NEAR_PX)
     if not near.settled.any():
-        return BoardDetection.nothing("no clear corners", refused=pixels)
+        return replace(detection.without_points("no clear corners"), refused=pixels)
     # What a board that leaves its pattern open, or that is printed inverted, has before its first corner
     first = 1 if np.nansum(near.contrast * signs(board)[ids]) >= 0 else -1
     corners = near
@@ -87,15 +87,16 @@ def _detection(start: BoardDetection, corners: RefinedCorners, near: RefinedCorn
     good, fallback = clear(corners), clear(near)
     kept = good | fallback
     if kept.sum() < MIN_CORNERS:
-        return BoardDetection.nothing(f"only {int(kept.sum())} clear corners", refused=start.pixels)
+        return replace(start.without_points(f"only {int(kept.sum())} clear corners"), refused=start.pixels)
     pixels = np.where(good[:, None], corners.pixels, near.pixels)
     covariance = np.where(good[:, None, None], corners.covariance, near.covariance)
-    return BoardDetection(
+    return replace(
+        start,
         ids=start.ids[kept],
         pixels=pixels[kept],
         covariance=covariance[kept],
         refused=start.pixels[~kept],
-        inverted=start.inverted,
+        located=False,
     )
 
 
@@ -282,9 +283,9 @@ class Expected:
 
 
 def remeasure(samples: MaskedImage, view: BoardDetection, expected: Expected) -> BoardDetection:
-    """Return a view of a board that has been calibrated with, its corners measured again and those that were missed
-    added; as it was where none is seen again. Corners that the model does not bear out, along the edges that are
-    expected, are left out.
+    """Return a view of a board that has been calibrated with, its corners measured, or measured again, and those that
+    were missed added; as it was where too few are seen there. Corners that the model does not bear out, along the edges
+    that are expected, are left out.
     """
     ids, pixels = view.ids, view.pixels
     start = expected.pixels.copy()
@@ -298,16 +299,23 @@ def remeasure(samples: MaskedImage, view: BoardDetection, expected: Expected) ->
     contrast = np.where(good, corners.contrast * expected.signs[chosen], 0.0)
     good &= contrast * np.sign(contrast[measured[chosen]].sum()) > 0
     moved = np.linalg.norm(corners.pixels - start[chosen], axis=1)
-    before = good & measured[chosen] & (moved < _DRAWN)
-    if not before.any():
+    near = moved < np.maximum(_OFF * np.linalg.norm(expected.cells.steps[chosen], axis=1).min(axis=1), _OFF_PX)
+    before = good & measured[chosen] & (near if view.located else moved < _DRAWN)
+    if before.sum() < (MIN_CORNERS if view.located else 1):
         return view
-    step = np.linalg.norm(expected.cells.steps[chosen], axis=1).min(axis=1)
-    fresh = good & ~measured[chosen] & (moved < np.maximum(_OFF * step, _OFF_PX))
+    fresh = good & ~measured[chosen] & near
     fresh &= np.abs(contrast) > _FAINT * np.median(np.abs(contrast[before]))
     fresh &= corners.noise < _SURE * np.median(corners.noise[before])
     fresh &= (corners.blur < _SURE * np.median(corners.blur[before])).all(axis=1)
     kept = before | fresh
-    return replace(view, ids=chosen[kept], pixels=corners.pixels[kept], covariance=corners.covariance[kept])
+    return replace(
+        view,
+        ids=chosen[kept],
+        pixels=corners.pixels[kept],
+        covariance=corners.covariance[kept],
+        refused=np.concatenate([view.refused, pixels[~np.isin(ids, chosen[kept])]]),
+        located=False,
+    )
 
 
 _REACH = 0.45  # of the way to the nearest point: what lies around a point and no other

@@ -22,7 +22,7 @@ from camcal.run.resume import Items
 from camcal.targets.board import APRILGRID, ASYMMETRIC_CIRCLES, CHARUCO, CHESSBOARD, CIRCLES, Board
 from camcal.targets.checker.charuco import arrangement_votes, arrangements
 from camcal.targets.corners.measure import measure
-from camcal.targets.detect import SEED, detect
+from camcal.targets.detect import SEED, detect, locate
 from camcal.targets.detection import BoardDetection
 from camcal.tasks.calibration.video_frames import Frame, Video, detect_frame
 
@@ -114,9 +114,9 @@ def _try_in(
             return votes, None
     name, source = task
     if isinstance(source, Frame):
-        view = detect_frame((name, source, boards[0]), parts)
+        view = detect_frame((name, source, boards[0]), parts, measured=False)
     else:
-        view = detect_file((source, boards[0]), reading, parts)
+        view = detect_file((source, boards[0]), reading, parts, measured=False)
     return votes + len(view.ids), None if view.found else view
 
 
@@ -126,17 +126,21 @@ def gray_of(source: Path | Frame, reading: ImageReadOptions) -> Array:
 
 
 def detect_file(
-    task: tuple[Path, Board], reading: ImageReadOptions, parts: bool = False, hashed: bool = False
+    task: tuple[Path, Board],
+    reading: ImageReadOptions,
+    parts: bool = False,
+    hashed: bool = False,
+    measured: bool = True,
 ) -> BoardDetection:
-    """Return what an image file shows of a board, also in each colour if the reading asks for them; hashed: with the
-    hash of the file.
+    """Return what an image file shows of a board, also in each colour if the reading asks for them.
 
-    Raises FileError or InvalidInput if it cannot be read.
+    hashed: with the hash of the file. measured: whether corners are measured, or located only. Raises FileError or
+    InvalidInput if it cannot be read.
     """
     path, board = task
     require_cell(path)
     image = read_detection_image(path, reading, hashed=hashed)
-    found = detect(image.gray, board, partial=parts, samples=image.samples)
+    found = (detect if measured else locate)(image.gray, board, partial=parts, samples=image.samples)
     colours = {
         colour: replace(measure(samples, board, found), image=path.as_posix(), size=found.size)
         for colour, samples in image.colours.items()

@@ -70,6 +70,7 @@ def board_views(
     parts: bool = False,
     mixed_sizes: bool | None = None,
     batch: BatchOptions = DEFAULT_BATCH,
+    locate: bool = False,
 ) -> BoardViews:
     """Return what images, videos, folders and globs show of a board, or what one detections file holds.
 
@@ -78,6 +79,7 @@ def board_views(
     reading: what is made of raw frames, and which colours are examined. frames: which ones of videos are taken.
     parts: whether parts of a chessboard will do that show which part they are. mixed_sizes: whether views of another
     size than most are used where it is known how the sizes are related; None is no, by a command without that option.
+    locate: whether it is enough to locate the board, so that corners are yet to be measured.
     Raises InvalidInput if no board is known, a detections file is not alone or is to be read as an image, FileError.
     """
     known = boards.load_board(board) if isinstance(board, str) else board
@@ -111,7 +113,7 @@ def board_views(
         parts=parts,
         mixed_sizes=mixed_sizes,
     )
-    report = detect_images(options, progress)
+    report = detect_images(options, progress, locate=locate)
     found = report.detections
     return BoardViews(
         found.board or known,

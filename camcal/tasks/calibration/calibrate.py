@@ -10,7 +10,7 @@ from camcal import messages
 from camcal.calibrate import intrinsics
 from camcal.calibrate.channels import aberration, fit_colour
 from camcal.calibrate.fit import ShapeOptions
-from camcal.calibrate.intrinsics import Calibration, CandidateModel, compare_models
+from camcal.calibrate.intrinsics import Calibration, CandidateModel
 from camcal.calibrate.several_cameras import name_groups
 from camcal.cameras.catalogue import DEFAULT_MODEL, model_named
 from camcal.cameras.validity import ImageCircle
@@ -21,8 +21,7 @@ from camcal.formats.camera_file import (
 )
 from camcal.messages import Message
 from camcal.options import command_line
-from camcal.progress import SILENT, Progress, warn_of
-from camcal.quality.lens_choice import judge, rank_models
+from camcal.progress import SILENT, Progress, stage, warn_of
 from camcal.quality.projection_uncertainty import ProjectionUncertainty, too_uncertain
 from camcal.raw.reading import COLOURS
 from camcal.report.calibration import as_data, candidates_data, uncertainty_data
@@ -33,9 +32,9 @@ from camcal.targets.board import Board
 from camcal.targets.detection import BoardDetection
 from camcal.tasks.calibration.board_views import BoardViews, board_views, screenshots
 from camcal.tasks.calibration.camera_result import CalibrateReport, Channel, camera_file, channel_figures
-from camcal.tasks.calibration.corner_refinement import RefinementSummary, is_refined, refine_corners
+from camcal.tasks.calibration.corner_refinement import RefinementSummary, is_located, is_refined, refine_corners
 from camcal.tasks.calibration.image_circle_of_views import circle_lines, known_circle, with_circle
-from camcal.tasks.calibration.model_selection import Selection, compared, solve
+from camcal.tasks.calibration.model_selection import Selection, brief_calibration, solve
 from camcal.tasks.calibration.options import CalibrateOptions
 from camcal.tasks.calibration.video_frames import as_data as frame_data
 from camcal.tasks.figure_files import figure_data, write_figures
@@ -52,7 +51,7 @@ def calibrate(options: CalibrateOptions, progress: Progress = SILENT) -> Calibra
 
 
 def seen_of(options: CalibrateOptions, board: Board | str | None, progress: Progress = SILENT) -> BoardViews:
-    """Return what the inputs show of a board, see `board_views`."""
+    """Return what the inputs show of a board, see `board_views`; corners that the lens helps to measure are located."""
     return board_views(
         options.inputs,
         board,
@@ -65,6 +64,7 @@ def seen_of(options: CalibrateOptions, board: Board | str | None, progress: Prog
         parts=options.parts,
         mixed_sizes=options.mixed_sizes,
         batch=options.batch,
+        locate=is_located(options.refine, options.reading, mixed_sizes=options.mixed_sizes),
     )
 
 
@@ -93,17 +93,23 @@ def calibrated(
     circle = known_circle(seen.detections, guess)
     if options.save_detections:
         detections.write(options.save_detections, seen.detections)
-    solve_seen = partial(solve, board=seen.board, options=how, circle=circle, choose=options.model is None)
+    solve_seen = partial(
+        solve, board=seen.board, options=how, circle=circle, choose=options.model is None, progress=progress
+    )
     refinement: RefinementSummary | None = None
     found: tuple[Message, ...] = ()
     try:
         if refined:
-            brief = _brief(seen, how, options.model is None, circle, progress)
+            brief = partial(
+                brief_calibration, board=seen.board, options=how, circle=circle, choose=options.model is None
+            )
             seen, selection, refinement, found = _refine(seen, brief, solve_seen, options, progress)
         else:
-            selection = _solve_views(solve_seen, seen, progress)
+            selection = solve_seen(seen.detections.views)
     except (InsufficientData, NotConverged) as refusal:
         error = screenshots(seen, options, progress) or refusal
+        if options.save_detections and any(view.located for view in seen.detections.views):
+            detections.write(options.save_detections, _measure(seen, None, options, progress)[0].detections)
         if options.report is not None:
             from camcal.tasks.reports.pages import write_refusal
 
@@ -118,7 +124,8 @@ def calibrated(
     file = camera_file(calibration, assessment, options.name, words, channels=channels, circle=circle)
     figures = _write_figures(options, calibration, assessment.uncertainty, selection.candidates, circle)
     if options.output is not None:
-        native.write(options.output, file)
+        with stage(progress, "writing"):
+            native.write(options.output, file)
     said = {message.code for message in seen.warnings}
     found += tuple(own for own in assessment.warnings if own.code != "unit" or "unknown_board_size" not in said)
     warn_of(found, progress)
@@ -166,54 +173,40 @@ def _write_figures(
     return write_figures(options.figures, calibration_plots(calibration, uncertainty, candidates, circle))
 
 
-def _brief(
-    seen: BoardViews, how: intrinsics.Options, choose: bool, circle: ImageCircle | None, progress: Progress
-) -> Calibration | None:
-    """Return a brief calibration that expects corners well enough to measure them again, None where there is none: of
-    the lens models that may be chosen, the default one will do where it passes.
-    """
-    progress.start("solving", None)
-    views, board = seen.detections.views, seen.board
-    try:
-        found = judge(compare_models(views, board, how, [how.model]), circle)
-        if choose and (found[0].calibration is None or found[0].failures):
-            found = compared(views, board, how, circle)
-        return rank_models(found, DEFAULT_MODEL)[0].calibration
-    finally:
-        progress.finish()
-
-
-def _solve_views(
-    solve: Callable[[Sequence[BoardDetection]], Selection], seen: BoardViews, progress: Progress
-) -> Selection:
-    progress.start("solving", None)
-    try:
-        return solve(seen.detections.views)
-    finally:
-        progress.finish()
-
-
 def _refine(
     seen: BoardViews,
-    brief: Calibration | None,
+    brief: Callable[[Sequence[BoardDetection]], Calibration | None],
     solve: Callable[[Sequence[BoardDetection]], Selection],
     options: CalibrateOptions,
     progress: Progress,
 ) -> tuple[BoardViews, Selection, RefinementSummary | None, tuple[Message, ...]]:
     """Return the views with their corners measured where a calibration expects them, what they lead to, what changed,
-    and warnings. Views that a calibration cannot be made from then stay as they were.
+    and warnings. Views that a calibration cannot be made from then are measured as their images alone have them.
 
-    brief: the calibration; None: a whole one, as no brief one would do.
+    brief: returns the calibration; a whole one is made where none of the brief ones would do.
     """
-    brief = _solve_views(solve, seen, progress).calibration if brief is None else brief
-    how_read = options.reading, options.jobs, options.batch
-    look = refine_corners(brief, seen.detections.views, seen.videos, *how_read, progress, seen.files)
-    better = replace(seen, detections=replace(seen.detections, views=look.views))
+    with stage(progress, "solving briefly"):
+        lens = brief(seen.detections.views)
+    if lens is None:
+        seen, _ = _measure(seen, None, options, progress)
+        lens = solve(seen.detections.views).calibration
+    better, summary = _measure(seen, lens, options, progress)
     try:
-        return better, _solve_views(solve, better, progress), RefinementSummary(look.recovered, look.lost), ()
+        return better, solve(better.detections.views), summary, ()
     except (InsufficientData, NotConverged) as error:
+        seen, _ = _measure(seen, None, options, progress)
         text = f"corner refinement with the calibrated lens skipped, as with --no-refine: {error.message}"
-        return seen, _solve_views(solve, seen, progress), None, (Message("refinement_failed", text),)
+        return seen, solve(seen.detections.views), None, (Message("refinement_failed", text),)
+
+
+def _measure(
+    seen: BoardViews, lens: Calibration | None, options: CalibrateOptions, progress: Progress
+) -> tuple[BoardViews, RefinementSummary]:
+    """Return the views with their corners measured, see `refine_corners`, and what has changed."""
+    how = options.reading, options.jobs, options.batch, progress
+    look = refine_corners(lens, seen.board, seen.detections.views, seen.videos, *how, seen.files)
+    better = replace(seen, detections=replace(seen.detections, views=look.views))
+    return better, RefinementSummary(look.recovered, look.lost)
 
 
 def _channel(calibration: Calibration, colour: str, views: Sequence[BoardDetection]) -> Channel:

@@ -1,4 +1,8 @@
-"""Corner refinement with the calibrated lens, its poses and the shape of its board."""
+"""Measurement of corners with the calibrated lens, its poses and the shape of its board.
+
+Views whose board was located only are measured here for the first time: along the edges that the lens expects, or as
+the image alone has them where it expects none.
+"""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -17,7 +21,7 @@ from camcal.raw.reading import read_detection_image
 from camcal.run.fanout import fan_out
 from camcal.run.options import BatchOptions
 from camcal.targets.board import Board
-from camcal.targets.corners.measure import Expected, remeasure, seen_cells, signs
+from camcal.targets.corners.measure import Expected, measure, remeasure, seen_cells, signs
 from camcal.targets.detection import NEAR, BoardDetection, MaskedImage, size_relation
 from camcal.tasks.calibration.video_frames import Video
 
@@ -66,17 +70,29 @@ def is_refined(asked: bool | None, board: Board, *, table: bool) -> bool:
     return asked
 
 
+def is_located(refine: bool | None, reading: ImageReadOptions, *, mixed_sizes: bool | None) -> bool:
+    """Return whether it is enough to locate a board in images, as its corners are measured with the calibrated lens.
+
+    refine: as `is_refined` has it. Colours are measured where the board is found, views of other sizes before they are
+    made to fit.
+    """
+    return refine is not False and not reading.colours and not mixed_sizes
+
+
 @dataclass(frozen=True, eq=False)
 class _ExpectedView:
-    """A view to be examined again, and what is expected of it, with its image: the file, or the frame of a video."""
+    """A view to be examined again, and what is expected of it (None: nothing), with its image: the file, or the frame
+    of a video.
+    """
 
     view: BoardDetection
-    expected: Expected
+    expected: Expected | None
     image: Path | Array
 
 
 def refine_corners(
-    calibration: Calibration,
+    calibration: Calibration | None,
+    board: Board,
     detections: Sequence[BoardDetection],
     videos: Sequence[Video],
     reading: ImageReadOptions,
@@ -87,28 +103,29 @@ def refine_corners(
 ) -> CornerRefinement:
     """Return the views of a calibration with their corners measured along the edges that it expects.
 
-    detections: of calibration.views, in their order. files: the images whose names are not their paths. A view that the
-    calibration does not use stays as it is, and so does one whose image can no longer be read, or was made to fit the
-    size of the others (--mixed-sizes).
+    calibration: None where only what is located is to be measured. detections: of calibration.views, in their order.
+    files: the images whose names are not their paths. A measured view that the calibration does not use stays as it is,
+    and so does one whose image can no longer be read, or was made to fit the size of the others (--mixed-sizes). A
+    located one is measured as the image alone has it, and has no points if that can no longer be read.
     """
-    turns = calibration.board.symmetries()
-    pairs = zip(detections, calibration.views, strict=True)
-    expected = {
-        view.image: _ExpectedView(
-            view.renumbered(turns[record.symmetry]),
-            _expected(calibration, record),
-            files.get(view.image, Path(view.image)),
-        )
-        for view, record in pairs
-        if record.used
-    }
-    work = partial(_remeasure, reading=reading)
+    expected: dict[str, _ExpectedView] = {}
+    turns = board.symmetries()
+    records = [None] * len(detections) if calibration is None else calibration.views
+    for view, record in zip(detections, records, strict=True):
+        image = files.get(view.image, Path(view.image))
+        if calibration is not None and record is not None and record.used:
+            numbered = view.renumbered(turns[record.symmetry])
+            expected[view.image] = _ExpectedView(numbered, _expected(calibration, record), image)
+        elif view.located:
+            expected[view.image] = _ExpectedView(view, None, image)
+    work = partial(_remeasure, board=board, reading=reading)
     tasks, what = _expected_views(expected, videos), "measuring corners"
     outcomes = fan_out(work, tasks, jobs=jobs, batch=batch.keep_going, processes=True, what=what, progress=progress)
     again = {outcome.value.image: outcome.value for outcome in outcomes if outcome.value is not None}
-    numbers = [(expected[image].view.ids, view.ids) for image, view in again.items()]
+    numbers = [(expected[image].view.ids, view.ids) for image, view in again.items() if expected[image].expected]
+    views = (again.get(view.image, view) for view in detections)
     return CornerRefinement(
-        tuple(again.get(view.image, view) for view in detections),
+        tuple(view.without_points("the image can no longer be read") if view.located else view for view in views),
         recovered=sum(len(np.setdiff1d(after, before)) for before, after in numbers),
         lost=sum(len(np.setdiff1d(before, after)) for before, after in numbers),
     )
@@ -124,11 +141,15 @@ def _expected_views(expected: Mapping[str, _ExpectedView], videos: Sequence[Vide
             yield replace(expected_view, image=frame.image.pixels)
 
 
-def _remeasure(expected_view: _ExpectedView, reading: ImageReadOptions) -> BoardDetection:
-    """Return a view with its corners measured again."""
+def _remeasure(expected_view: _ExpectedView, board: Board, reading: ImageReadOptions) -> BoardDetection:
+    """Return a view with its corners measured, or measured again."""
     view, image = expected_view.view, expected_view.image
     samples = _samples(image, view.size, reading) if isinstance(image, Path) else MaskedImage(image)
-    return view if samples is None else remeasure(samples, view, expected_view.expected)
+    if samples is None:
+        return view
+    if expected_view.expected is not None:
+        view = remeasure(samples, view, expected_view.expected)
+    return measure(samples, board, view) if view.located else view
 
 
 def _samples(path: Path, size: tuple[int, int], reading: ImageReadOptions) -> MaskedImage | None:

@@ -84,26 +84,27 @@ class DetectReport:
 
 
 @writes
-def detect_images(options: DetectOptions, progress: Progress = SILENT) -> DetectReport:
+def detect_images(options: DetectOptions, progress: Progress = SILENT, *, locate: bool = False) -> DetectReport:
     """Return what images and chosen frames of videos show of a board, written to options.output if that is given.
 
+    locate: whether it is enough to locate it, see `targets.detect.locate`.
     Images come in their order, then frames in theirs. A ChArUco board is taken in the arrangement that fits. Images of
     another size than most are left out, or made to fit.
     Raises InvalidInput, FileError if nothing can be read, InsufficientData if the board is nowhere; only pictures are
     drawn then.
     """
     with journal_beside(options.output, options.batch):
-        return _detect(options, progress)
+        return _detect(options, progress, locate=locate)
 
 
-def _detect(options: DetectOptions, progress: Progress) -> DetectReport:
+def _detect(options: DetectOptions, progress: Progress, *, locate: bool) -> DetectReport:
     asked = _board(options)
     require_findable(asked, partial=options.parts)
     require_colours(asked, options.reading)
     media = _media(options)
     _require_outputs(options, media)
     videos = [survey(video, options.frames, progress) for video in media.videos]
-    found = search_board(asked, media.images, videos, options, progress)
+    found = search_board(asked, media.images, videos, options, progress, locate=locate)
     board, errors = found.board, found.errors
     if found.nothing:
         _draw_views(found.views, videos, options, progress)  # here the reasons are wanted most
@@ -157,21 +158,27 @@ class FoundBoards:
 
 
 def search_board(
-    asked: Board, images: Sequence[Path], videos: Sequence[Video], options: DetectOptions, progress: Progress
+    asked: Board,
+    images: Sequence[Path],
+    videos: Sequence[Video],
+    options: DetectOptions,
+    progress: Progress,
+    *,
+    locate: bool = False,
 ) -> FoundBoards:
     """Return what images, and the chosen frames of videos, show of a board; of the options, how they are read counts.
 
-    Raises FileError if nothing can be read.
+    locate: whether it is enough to locate it. Raises FileError if nothing can be read.
     """
     material = Material(images, videos, options.reading, options.jobs, options.batch, progress)
     board, without = first_views(asked, material, parts=options.parts)
     if without:
         few, total = material.of({view.image for view in without}), len(material.names)
         return FoundBoards(board, tuple(without), (), (), _nothing(asked, board, without, few, options, total))
-    seen, errors = _seen(images, board, options, progress)
+    seen, errors = _seen(images, board, options, progress, locate=locate)
     errors += [video.error for video in videos if video.error is not None]
     options.batch.raise_first(errors)
-    framed, lost = _in_videos(videos, board, options, progress)
+    framed, lost = _in_videos(videos, board, options, progress, locate=locate)
     errors += lost
     options.batch.raise_first(errors)
     found = [*seen, *framed]
@@ -226,29 +233,31 @@ def _require_outputs(options: DetectOptions, media: Media) -> None:
 
 
 def _seen(
-    images: Sequence[Path], board: Board, options: DetectOptions, progress: Progress
+    images: Sequence[Path], board: Board, options: DetectOptions, progress: Progress, *, locate: bool
 ) -> tuple[list[BoardDetection], list[CamcalError]]:
     """Return what images show, and why others could not be read."""
-    work = partial(detect_file, reading=options.reading, parts=options.parts, hashed=True)
+    work = partial(detect_file, reading=options.reading, parts=options.parts, hashed=True, measured=not locate)
     tasks = [(path, board) for path in images]
-    found: Items[tuple[Path, Board], BoardDetection] = Items(_settings(options), _of_file, result=BoardDetection)
+    found: Items[tuple[Path, Board], BoardDetection] = Items(
+        _settings(options, locate=locate), _of_file, result=BoardDetection
+    )
     outcomes = list(search(work, tasks, options.jobs, options.batch, "detecting", progress, found)) if images else []
     errors = [outcome.error for outcome in outcomes if outcome.error is not None]
     return [outcome.value for outcome in outcomes if outcome.value is not None], errors
 
 
 def _in_videos(
-    videos: Sequence[Video], board: Board, options: DetectOptions, progress: Progress
+    videos: Sequence[Video], board: Board, options: DetectOptions, progress: Progress, *, locate: bool
 ) -> tuple[list[BoardDetection], list[CamcalError]]:
     """Return what the frames of videos show that are searched, and why others could not be."""
     views: list[BoardDetection] = []
     errors: list[CamcalError] = []
     for video in videos:
         # one outcome after another: each holds its frame
-        work = partial(detect_frame, parts=options.parts)
+        work = partial(detect_frame, parts=options.parts, measured=not locate)
         what = f"detecting in {video.path.name}"
         found: Items[tuple[str, Frame, Board], BoardDetection] = Items(
-            _settings(options), _of_frame, result=BoardDetection
+            _settings(options, locate=locate), _of_frame, result=BoardDetection
         )
         for outcome in search(work, video.tasks([board]), options.jobs, options.batch, what, progress, found):
             views += [outcome.value] if outcome.value else []
@@ -256,8 +265,8 @@ def _in_videos(
     return views, errors
 
 
-def _settings(options: DetectOptions) -> str:
-    return fingerprint.of_data([fingerprint.of_settings(options.reading), options.parts])
+def _settings(options: DetectOptions, *, locate: bool) -> str:
+    return fingerprint.of_data([fingerprint.of_settings(options.reading), options.parts, locate])
 
 
 def _of_file(task: tuple[Path, Board]) -> list[Path | str]:

@@ -1,25 +1,38 @@
 """Lens model selection: the first of the candidates, in their order, whose calibration passes the verdict."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 
 from camcal.calibrate import intrinsics
-from camcal.calibrate.fit import ShapeOptions
+from camcal.calibrate.fit import CalibrationFit, ShapeOptions
 from camcal.calibrate.intrinsics import Calibration, CandidateModel, FittedModel, compare_models
-from camcal.cameras.catalogue import DEFAULT_MODEL, model_named
+from camcal.cameras.catalogue import DEFAULT_MODEL, WIDE_MODEL, model_named
 from camcal.cameras.validity import ImageCircle
 from camcal.errors import CamcalError, InsufficientData, InvalidInput, NotConverged
 from camcal.messages import Message
-from camcal.quality.assess import Assessment, assess, other_models, passing_model
-from camcal.quality.lens_choice import GAIN, judge, rank_models
+from camcal.progress import SILENT, Progress, stage
+from camcal.quality.assess import Assessment, assess, judge
+from camcal.quality.lens_choice import GAIN, other_models, passing_model, rank_models
 from camcal.targets.board import Board
 from camcal.targets.detection import BoardDetection
 
 # the simplest first: by the number of their parameters
 CANDIDATES = ("pinhole", "opencv4", "kannala_brandt4", "opencv5", "kannala_brandt5t", "opencv8")
 _CONTAINED = ("pinhole", "opencv4")  # DEFAULT_MODEL with coefficients at zero
-# Refusals that another lens model may remedy; a lens that does not fit may have an infinite focal length.
-_OF_THE_LENS = {"lens_model_does_not_fit", "lens_model_or_blur", "no_tilted_views", "undetermined_focal_length"}
+# Refusals and failures that another lens model may remedy; a lens that does not fit may have an infinite focal length.
+_OF_VIEWS = {
+    "no_tilted_views",
+    "undetermined_focal_length",
+}  # where two lens models, one of them for wide lenses, have it
+_OF_THE_LENS = {
+    *_OF_VIEWS,
+    "lens_model_does_not_fit",
+    "lens_model_or_blur",
+    "lens_model",
+    "not_invertible",
+    "known_region",
+}
 _TRIES = 2  # calibrations at most, where the first is not to be trusted
 _FAILURES = (InvalidInput, InsufficientData, NotConverged)
 
@@ -45,12 +58,13 @@ def solve(
     circle: ImageCircle | None = None,
     *,
     choose: bool = True,
+    progress: Progress = SILENT,
 ) -> Selection:
     """Return the calibration by `select`, or by `solve_given` with the lens model of the options where that is not to
     be chosen. A bend of the board that is held flat is named as the cause where a calibration without that passes.
     """
     try:
-        found = (select if choose else solve_given)(views, board, options, circle)
+        found = (select if choose else solve_given)(views, board, options, circle, progress)
     except (InsufficientData, NotConverged) as error:
         if (bent := _bend(views, board, options, circle)) is None:
             raise
@@ -80,7 +94,11 @@ def _bend(
 
 
 def select(
-    views: Sequence[BoardDetection], board: Board, options: intrinsics.Options, circle: ImageCircle | None = None
+    views: Sequence[BoardDetection],
+    board: Board,
+    options: intrinsics.Options,
+    circle: ImageCircle | None = None,
+    progress: Progress = SILENT,
 ) -> Selection:
     """Return the calibration with the lens model that predicts views best and passes the verdict, DEFAULT_MODEL unless
     another one is clearly better; options.model does not matter. circle: the image circle, outside of which no lens
@@ -90,7 +108,8 @@ def select(
     pass either, the first is returned. Raises InsufficientData, InvalidInput or NotConverged where no model leads to a
     calibration.
     """
-    candidates = compared(views, board, options, circle)
+    with stage(progress, "choosing the lens model"):
+        candidates = _compare_if_it_helps(views, board, options, circle)
     order = rank_models(candidates, DEFAULT_MODEL)
     failure: CamcalError | None = None
     taken: Selection | None = None
@@ -98,55 +117,151 @@ def select(
     for own in order:
         if taken is not None and (own.failures or len(refused) >= _TRIES):
             break
+        if failure is not None and own.calibration is None:
+            continue  # refused already when it was compared
         try:
-            start = own.fit if isinstance(own, FittedModel) else None
-            calibration = intrinsics.calibrate(views, board, replace(options, model=model_named(own.name)), start)
+            how = replace(options, model=model_named(own.name))
+            with stage(progress, "solving"):
+                calibration = intrinsics.calibrate(views, board, how, _fit_of(own))
         except _FAILURES as error:
             failure = failure or error
+            refused[own.name] = tuple(message.code for message in error.failures) or ("not_converged",)
             continue
         named = tuple(each.without_fit() if isinstance(each, FittedModel) else each for each in candidates)
-        found = Selection(calibration, assess(calibration, circle, order), named)
+        with stage(progress, "checking"):
+            found = Selection(calibration, assess(calibration, circle, _without(refused, order)), named)
         if taken is None or found.assessment.trustworthy:
             taken = _with_reason(found, order[0].name, failure if taken is None else None)
         if found.assessment.trustworthy:
             return taken
         refused[own.name] = tuple(message.code for message in found.assessment.failures)
+        if not _OF_THE_LENS.intersection(refused[own.name]):
+            break
     if taken is None:
-        raise failure or NotConverged("no lens model converged")
-    # a model that was refused is none to name, however brief calibrations with it are judged
-    left = [replace(own, failures=refused.get(own.name, own.failures)) for own in order]
-    return replace(taken, assessment=assess(taken.calibration, circle, left))
+        failure = failure or NotConverged("no lens model converged")
+        raise _with_remedy(failure, order[0].name, _without(refused, order)) from failure
+    return replace(taken, assessment=assess(taken.calibration, circle, _without(refused, order)))
+
+
+def _compare_if_it_helps(
+    views: Sequence[BoardDetection], board: Board, options: intrinsics.Options, circle: ImageCircle | None
+) -> tuple[CandidateModel, ...]:
+    """Return what `compared` does, or the first of the candidates where views are refused for what no lens remedies, or
+    two of them for what a third one does not.
+    """
+    found: tuple[CandidateModel, ...] = ()
+    for name in (WIDE_MODEL, DEFAULT_MODEL):
+        found += compare_models(views, board, options, [model_named(name)])
+        own = found[-1]
+        if own.failures and own.calibration is None and not _OF_THE_LENS.intersection(own.failures):
+            return found
+        if own.calibration is not None:
+            break
+    if all(_OF_VIEWS.intersection(each.failures) for each in found):
+        return found
+    return compared(views, board, options, circle, _fit_of(own), found)
+
+
+def _without(refused: Mapping[str, tuple[str, ...]], order: Sequence[CandidateModel]) -> list[CandidateModel]:
+    """Return the candidates with why some were refused in full: none to name, however brief ones are judged."""
+    return [replace(own, failures=refused.get(own.name, own.failures)) for own in order]
 
 
 def solve_given(
-    views: Sequence[BoardDetection], board: Board, options: intrinsics.Options, circle: ImageCircle | None = None
+    views: Sequence[BoardDetection],
+    board: Board,
+    options: intrinsics.Options,
+    circle: ImageCircle | None = None,
+    progress: Progress = SILENT,
 ) -> Selection:
-    """Return the calibration with the lens model of the options; where it is not to be trusted, with what other models
-    would lead to. Raises as `intrinsics.calibrate` does.
+    """Return the calibration with the lens model of the options, assessed beside the usual models, which may predict
+    better unless parameters are held; where it is not to be trusted, with what other models would lead to. Raises as
+    `intrinsics.calibrate` does.
     """
     free = replace(options, fixed=(), guess=None)
+    [own] = compare_models(views, board, options, [options.model])
+    start = _fit_of(own)
+    # what is held is known better than other models know it
+    beside: list[CandidateModel] = [] if options.fixed else [own]
+
+    @cache
+    def rank_all() -> list[CandidateModel]:
+        wide = next((_fit_of(each) for each in beside if each.name == WIDE_MODEL), None)
+        every = compared(views, board, free, circle, wide, beside)
+        return rank_models([each for each in every if beside or each.name != own.name], DEFAULT_MODEL)
+
+    if own.calibration is None and _OF_THE_LENS.intersection(own.failures):
+        error = InsufficientData(str(own.reason), failures=[Message(code, "", {}) for code in own.failures])
+        if passing_model(own.name, others := rank_all()):
+            raise _with_remedy(error, own.name, others)
     try:
-        calibration = intrinsics.calibrate(views, board, options)
+        with stage(progress, "solving"):
+            calibration = intrinsics.calibrate(views, board, options, start)
     except (InsufficientData, NotConverged) as error:
-        others = rank_models(compared(views, board, free, circle), DEFAULT_MODEL) if _is_of_the_lens(error) else ()
-        raise _with_remedy(error, options.model.name, others) from error
-    found = Selection(calibration, assess(calibration, circle))
-    if found.assessment.trustworthy:
-        return found
-    others = rank_models(compared(views, board, free, circle), DEFAULT_MODEL)
-    return replace(found, assessment=assess(calibration, circle, others))
+        raise _with_remedy(error, own.name, rank_all() if _is_of_the_lens(error) else ()) from error
+    with stage(progress, "checking"):
+        if not options.fixed:
+            beside = rank_beside(own, views, board, free, circle)
+        found = Selection(calibration, assess(calibration, circle, beside))
+    return found if found.assessment.trustworthy else replace(found, assessment=assess(calibration, circle, rank_all()))
+
+
+def rank_beside(
+    own: CandidateModel,
+    views: Sequence[BoardDetection],
+    board: Board,
+    options: intrinsics.Options,
+    circle: ImageCircle | None = None,
+) -> list[CandidateModel]:
+    """Return a candidate and the usual models, which it is compared with, in their order."""
+    usual = [model_named(name) for name in (DEFAULT_MODEL, WIDE_MODEL) if name != own.name]
+    others = compare_models(views, board, options, usual, _fit_of(own))
+    return rank_models([own, *judge(others, circle)], DEFAULT_MODEL)
+
+
+def _fit_of(own: CandidateModel) -> CalibrationFit | None:
+    """Return the brief fit of a candidate to go on from, None without one."""
+    return own.fit if isinstance(own, FittedModel) else None
 
 
 def compared(
-    views: Sequence[BoardDetection], board: Board, options: intrinsics.Options, circle: ImageCircle | None = None
+    views: Sequence[BoardDetection],
+    board: Board,
+    options: intrinsics.Options,
+    circle: ImageCircle | None = None,
+    start: CalibrationFit | None = None,
+    known: Sequence[CandidateModel] = (),
 ) -> tuple[CandidateModel, ...]:
-    """Return the candidates, the simplest first; models that DEFAULT_MODEL contains only where it fails."""
-    wide = [name for name in CANDIDATES if name not in _CONTAINED]
-    found = {own.name: own for own in compare_models(views, board, options, [model_named(name) for name in wide])}
-    if found[DEFAULT_MODEL].scores is None:
-        others = compare_models(views, board, options, [model_named(name) for name in _CONTAINED])
-        found |= {own.name: own for own in others}
-    return judge([found[name] for name in CANDIDATES if name in found], circle)
+    """Return the candidates, the simplest first; models that DEFAULT_MODEL contains only where it fails.
+
+    start: as of `compare_models`. known: those that are compared already, which are among the candidates.
+    """
+    found = {own.name: own for own in known}
+    for names in ([name for name in CANDIDATES if name not in _CONTAINED], _CONTAINED):
+        models = [model_named(name) for name in names if name not in found]
+        found |= {own.name: own for own in compare_models(views, board, options, models, start)}
+        if found[DEFAULT_MODEL].scores is not None:
+            break
+    return judge([found[name] for name in dict.fromkeys((*CANDIDATES, *found)) if name in found], circle)
+
+
+def brief_calibration(
+    views: Sequence[BoardDetection],
+    board: Board,
+    options: intrinsics.Options,
+    circle: ImageCircle | None = None,
+    *,
+    choose: bool = True,
+) -> Calibration | None:
+    """Return a brief calibration by which corners can be expected well enough to measure them, None where there is
+    none: with DEFAULT_MODEL, or with WIDE_MODEL where that does not pass, unless the lens model is not to be chosen.
+    """
+    found: list[CandidateModel] = []
+    for name in (DEFAULT_MODEL, WIDE_MODEL) if choose else (options.model.name,):
+        found += judge(compare_models(views, board, options, [model_named(name)]), circle)
+        if found[-1].calibration is not None and not found[-1].failures:
+            return found[-1].calibration
+    return rank_models(found, DEFAULT_MODEL)[0].calibration
 
 
 def _is_of_the_lens(error: CamcalError) -> bool:
@@ -177,7 +292,9 @@ def _with_reason(selection: Selection, first: str, failure: CamcalError | None) 
     scores = {own.name: own for own in selection.candidates}
     if name == DEFAULT_MODEL:
         return selection
-    default, taken = scores[DEFAULT_MODEL], scores[name]
+    default, taken = scores.get(DEFAULT_MODEL), scores[name]
+    if default is None:
+        return selection
     if default.scores is None:
         return replace(selection, warnings=(_failed(name, DEFAULT_MODEL, str(default.reason)),))
     words = f"lens model {name}: prediction error of left-out views {taken.sigma_px:.2g} px, {DEFAULT_MODEL} "

@@ -31,7 +31,7 @@ from camcal.run.outputs import claim, writes
 from camcal.run.paths import Media, find_media, names_file, refuse_collisions, require_one, split_address
 from camcal.tasks.calibration.drawing import Drawing, Drawn, Sources, require_success, same_shape
 from camcal.tasks.calibration.undistort_options import UndistortOptions
-from camcal.tasks.given_camera import read_camera_file, require_no_image, view_outside_region
+from camcal.tasks.given_camera import outside_region, read_camera_file, require_no_image, view_outside_region
 
 CAMERA_FILE = "camera.yaml"
 MASK_FILE = "valid_mask.png"
@@ -302,6 +302,9 @@ def undistort_points(options: UndistortOptions, progress: Progress = SILENT) -> 
         moved = _lit(move_pixels(view, source.camera, pixels), source.circle)
     else:
         moved = move_pixels(source.camera, view, _lit(pixels, source.circle))
+    distorted = moved if options.distort else pixels
+    known = distorted[np.isfinite(distorted).all(axis=1)]
+    warn_of(outside_region(source.verdict, known, "the points", "calibrate with corners there"), progress)
     files.write_text(output, _points_text(table, moved))
     if camera_file is not None:
         write_view(camera_file, source, view, command_line("undistort", options), progress)

@@ -27,7 +27,7 @@ from camcal.progress import Progress
 from camcal.report.table import Column
 from camcal.targets.board import Board
 from camcal.targets.corners.measure import edge_blur
-from camcal.targets.detect import SEED, detect
+from camcal.targets.detect import SEED, detect, locate
 from camcal.targets.detection import BoardDetection
 from camcal.tasks.calibration.options import FrameOptions
 
@@ -160,12 +160,16 @@ def sharpest(numbers: Sequence[int], sharpness: Sequence[float], stretches: int)
     return [numbers[part[0] + int(np.argmax(np.take(sharpness, part)))] for part in parts]
 
 
-def detect_frame(task: tuple[str, Frame, Board], parts: bool = False) -> BoardDetection:
-    """Return what a frame shows of a board; its name comes first, as errors have it. parts: see `detect`, partial."""
+def detect_frame(task: tuple[str, Frame, Board], parts: bool = False, measured: bool = True) -> BoardDetection:
+    """Return what a frame shows of a board; its name comes first, as errors have it. parts: see `detect`, partial.
+
+    measured: whether corners are measured, or located only.
+    """
     name, frame, board = task
     gray = frame.image.pixels
     digest = hashlib.sha256(gray.tobytes()).hexdigest()
-    found = replace(detect(gray, board, partial=parts), image=name, orientation=frame.image.orientation, sha256=digest)
+    found = (detect if measured else locate)(gray, board, partial=parts)
+    found = replace(found, image=name, orientation=frame.image.orientation, sha256=digest)
     if not found.found:
         return found
     copy = reduced(gray)

@@ -13,7 +13,7 @@ from camcal.formats import tables
 from camcal.images import exif, video
 from camcal.images.files import load
 from camcal.messages import Message
-from camcal.parsing import parse_number
+from camcal.parsing import LARGEST, parse_number
 from camcal.progress import Progress
 from camcal.run.paths import require_there
 from camcal.tasks.poses.track_options import UNITS, Timing
@@ -34,9 +34,10 @@ def frame_times(frames: Sequence[str], videos: Sequence[Path], timing: Timing, p
     if len(late):
         first, second = late[0], late[0] + 1
         how = "the time of" if times[first] == times[second] else "a time before"
+        of_file = timing.source is not None and timing.source != _EXIF and not timing.by_name
         raise InvalidInput(
             f"{times[second]:.9g} s is {how} the frame before, {frames[first]}; times must increase",
-            where=frames[second],
+            where=f"{timing.source}: {frames[second]}" if of_file else frames[second],
         )
     return times
 
@@ -128,20 +129,23 @@ def _of_file(path: Path, frames: Sequence[str], scale: float) -> Array:
         raise FileError("contains no times", where=str(path))
     if "," in lines[0][1] and not lines[0][1][0].isdigit():
         table = tables.Table.from_csv(str(path), lines, ["t"], ["image"])
-        stamps, names = table.numbers("t"), list(table.columns.get("image", []))
+        stamps, names, places = table.numbers("t"), list(table.columns.get("image", [])), table.lines
     else:
         cells = [(number, line.replace(",", " ").split(maxsplit=1)) for number, line in lines]
         stamps = np.array([_time(f"{path}:{number}", cell[0]) for number, cell in cells])
-        names = [cell[1].strip() for _, cell in cells if len(cell) > 1]
+        names, places = [cell[1].strip() for _, cell in cells if len(cell) > 1], [number for number, _ in cells]
+    stamps = stamps * scale
+    if (far := np.flatnonzero(~(np.abs(stamps) <= LARGEST))).size:
+        raise InvalidInput(f"a time of {stamps[far[0]]:g} s", where=f"{path}:{places[far[0]]}")
     if names and len(names) == len(stamps):
         known = {PurePath(name).name: stamp for name, stamp in zip(names, stamps, strict=True)}
         without = [frame for frame in frames if PurePath(frame).name not in known]
         if without:
             raise InvalidInput(f"has no time of {PurePath(without[0]).name}", where=str(path))
-        return np.array([known[PurePath(frame).name] for frame in frames]) * scale
+        return np.array([known[PurePath(frame).name] for frame in frames])
     if len(stamps) != len(frames):
         raise InvalidInput(f"{len(stamps)} times for {len(frames)} frames", where=str(path))
-    return stamps * scale
+    return stamps
 
 
 def _time(where: str, text: str) -> float:

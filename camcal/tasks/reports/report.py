@@ -4,13 +4,13 @@ The page of detections is that of their calibration; that of a file alone says w
 """
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from camcal import files, messages
 from camcal.errors import InvalidInput
-from camcal.formats import detections, vnl
+from camcal.formats import cameras, detections, vnl
 from camcal.formats.camera_file import CameraEntry, CameraFile
 from camcal.messages import Message, counted
 from camcal.options import given_words
@@ -103,7 +103,10 @@ def _has_several_cameras(options: ReportOptions) -> bool:
 def _report_file(options: ReportOptions, output: Path, progress: Progress) -> Reported:
     if words := given_words(options):
         raise InvalidInput(f"{words[0]} applies to detections, not to a camera file", where=options.file)
-    inspection = inspect(InspectOptions(options.file))
+    asked = InspectOptions(options.file)
+    inspection = inspect(asked)
+    if (name := asked.address[1]) is not None:
+        inspection = replace(inspection, file=cameras.only(inspection.file, name, options.file))
     warn_of(inspection.file.warnings, progress)
     files.write_text(output, file_page(inspection))
     verdicts = [entry.verdict for entry in inspection.file.cameras.values()]
@@ -200,7 +203,8 @@ def _uncertainty(entry: CameraEntry) -> Iterator[Plot]:
         found = projection_uncertainty(entry.camera, circle=entry.image_circle)
     except InvalidInput:  # no covariance is known
         return
-    yield uncertainty_plot(found, entry.camera.image_size, entry.image_circle)
+    if found.figures():  # else no pixel is in the domain of the lens
+        yield uncertainty_plot(found, entry.camera.image_size, entry.image_circle)
 
 
 def _rig_sections(inspection: Inspection) -> Iterator[Section]:

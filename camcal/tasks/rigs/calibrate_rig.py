@@ -7,22 +7,21 @@ from typing import Any
 
 from camcal import messages
 from camcal.calibrate.fit import ShapeOptions
-from camcal.calibrate.intrinsics import CandidateModel
+from camcal.calibrate.intrinsics import Calibration, CandidateModel
 from camcal.calibrate.rigs.calibrate import calibrate_rig
 from camcal.calibrate.rigs.record import RigCalibration, RigOptions
 from camcal.cameras.validity import ImageCircle
-from camcal.errors import GateFailed, InsufficientData, InvalidInput, NotConverged
+from camcal.errors import CamcalError, GateFailed, InsufficientData, InvalidInput, NotConverged
 from camcal.formats import detections, native, native_entry
 from camcal.messages import Message
 from camcal.options import command_line
-from camcal.progress import SILENT, Progress, warn_of
+from camcal.progress import SILENT, Progress, stage, warn_of
 from camcal.quality.assess import assess
 from camcal.quality.projection_uncertainty import too_uncertain
 from camcal.report.calibration import as_data, candidates_data, uncertainty_data
 from camcal.report.rig import motion_data, transform_data
 from camcal.run.journal import journal_beside
 from camcal.run.outputs import writes
-from camcal.targets.detection import BoardDetection
 from camcal.tasks.calibration.corner_refinement import RefinementSummary, is_refined, refine_corners
 from camcal.tasks.calibration.image_circle_of_views import known_circle
 from camcal.tasks.calibration.video_frames import as_data as frame_data
@@ -31,6 +30,7 @@ from camcal.tasks.rigs.options import PRIOR, RigSettings, RigTaskOptions, Stereo
 from camcal.tasks.rigs.rig_lenses import (
     GivenLens,
     RigModels,
+    brief_lenses,
     given_lenses,
     require_other_images,
     require_sizes,
@@ -85,22 +85,25 @@ def _calibrate(seen: RigViews, settings: RigSettings, command: Sequence[str], pr
     if settings.save_detections:
         detections.write(settings.save_detections, seen.detections())
     shape = ShapeOptions(smooth=not settings.flat_board, offsets=settings.free_corners)
-    progress.start("choosing lens models", None)
-    try:
-        models = rig_models(seen.captures, seen.board, settings, given, shape, circles)
-        progress.finish()
-        how = _solver_options(settings, given, shape, models)
-        refinement: RefinementSummary | None = None
-        found: tuple[Message, ...] = ()
-        if refined:
-            seen, calibration, refinement, found = _refine(seen, models, how, settings, progress)
-        else:
-            calibration = _solve(seen, how, progress)
-    except (InsufficientData, NotConverged) as error:
-        if settings.report is not None:
-            from camcal.tasks.reports.pages import write_rig_refusal
+    refinement: RefinementSummary | None = None
+    found: tuple[Message, ...] = ()
 
-            write_rig_refusal(settings.report, seen, settings, command, error)
+    def solve(views: RigViews) -> tuple[RigModels, RigCalibration]:
+        with stage(progress, "choosing lens models"):
+            models = rig_models(views.captures, views.board, settings, given, shape, circles)
+        with stage(progress, "solving"):
+            how = _solver_options(settings, given, shape, models)
+            return models, calibrate_rig(views.captures, views.board, how)
+
+    try:
+        if refined:
+            with stage(progress, "solving briefly"):
+                lenses = brief_lenses(seen.captures, seen.board, settings, shape, circles)
+            seen, (models, calibration), refinement, found = _refine(seen, lenses, solve, settings, progress)
+        else:
+            models, calibration = solve(seen)
+    except (InsufficientData, NotConverged) as error:
+        _write_refusal(seen, settings, command, error, progress)
         raise
     if refined and settings.save_detections:
         detections.write(settings.save_detections, seen.detections())
@@ -131,6 +134,18 @@ def _calibrate(seen: RigViews, settings: RigSettings, command: Sequence[str], pr
 
         write_rig(settings.report, report, settings, command)
     return report
+
+
+def _write_refusal(
+    seen: RigViews, settings: RigSettings, command: Sequence[str], error: CamcalError, progress: Progress
+) -> None:
+    """Write what there is of a rig that cannot be calibrated: its detections, measured, and a page."""
+    if settings.save_detections and any(view.located for view in seen.detections().views):
+        detections.write(settings.save_detections, _measure(seen, {}, settings, progress)[0].detections())
+    if settings.report is not None:
+        from camcal.tasks.reports.pages import write_rig_refusal
+
+        write_rig_refusal(settings.report, seen, settings, command, error)
 
 
 def require_good(report: RigReport, settings: RigSettings) -> None:
@@ -169,50 +184,57 @@ def _solver_options(
 ) -> RigOptions:
     lenses = {name: starting(lens.camera, models.models[name]) for name, lens in given.items()}
     return RigOptions(
-        models.models, settings.lenses, lenses, shape, settings.max_rejected, settings.motion, models.others
+        models.models,
+        settings.lenses,
+        lenses,
+        shape,
+        settings.max_rejected,
+        settings.motion,
+        models.others,
+        models.starts,
     )
 
 
-def _solve(seen: RigViews, how: RigOptions, progress: Progress) -> RigCalibration:
-    progress.start("solving", None)
-    try:
-        return calibrate_rig(seen.captures, seen.board, how)
-    finally:
-        progress.finish()
-
-
 def _refine(
-    seen: RigViews, models: RigModels, how: RigOptions, settings: RigSettings, progress: Progress
-) -> tuple[RigViews, RigCalibration, RefinementSummary | None, tuple[Message, ...]]:
-    """Return what a second look at all images shows, the calibration it leads to, what changed, and warnings.
+    seen: RigViews,
+    lenses: Mapping[str, Calibration],
+    solve: Callable[[RigViews], tuple[RigModels, RigCalibration]],
+    settings: RigSettings,
+    progress: Progress,
+) -> tuple[RigViews, tuple[RigModels, RigCalibration], RefinementSummary | None, tuple[Message, ...]]:
+    """Return the views with their corners measured where calibrations expect them, what they lead to, what changed, and
+    warnings. Views that a calibration cannot be made from then are measured as their images alone have them.
 
-    Corners are expected where brief calibrations of the cameras alone have them, or the rig where one has none that
-    passes. A second look that a calibration cannot be made from leaves everything as it was.
+    lenses: brief calibrations of cameras alone, of those that have one; the others are measured once more where the rig
+    expects their corners.
     """
-    brief = set(models.brief) == set(seen.captures.cameras)
-    calibrations = models.brief if brief else _solve(seen, how, progress).calibrations
-    views: dict[str, Sequence[BoardDetection]] = {}
-    recovered = lost = 0
-    for name in seen.captures.cameras:
-        views[name] = own = seen.of(name)
-        if name in calibrations:
-            look = refine_corners(
-                calibrations[name],
-                own,
-                seen.videos,
-                settings.reading,
-                settings.jobs,
-                settings.batch,
-                progress,
-                seen.files,
-            )
-            views[name], recovered, lost = look.views, recovered + look.recovered, lost + look.lost
-    better = seen.with_views(views)
+    others = set(seen.captures.cameras) - set(lenses)
+    better, summary = _measure(seen, lenses, settings, progress)
     try:
-        return better, _solve(better, how, progress), RefinementSummary(recovered, lost), ()
+        solution = solve(better)
+        if others:
+            rest = {name: solution[1].calibrations[name] for name in others & set(solution[1].calibrations)}
+            better, more = _measure(better, rest, settings, progress)
+            summary = RefinementSummary(summary.added + more.added, summary.removed + more.removed)
+            solution = solve(better)
     except (InvalidInput, InsufficientData, NotConverged) as error:
+        seen, _ = _measure(seen, {}, settings, progress)
         text = f"corner refinement with the calibrated lenses skipped, as with --no-refine: {error.message}"
-        return seen, _solve(seen, how, progress), None, (Message("refinement_failed", text),)
+        return seen, solve(seen), None, (Message("refinement_failed", text),)
+    return better, solution, summary, ()
+
+
+def _measure(
+    seen: RigViews, lenses: Mapping[str, Calibration], settings: RigSettings, progress: Progress
+) -> tuple[RigViews, RefinementSummary]:
+    """Return the views with their corners measured, see `refine_corners`, and what has changed."""
+    how = settings.reading, settings.jobs, settings.batch, progress
+    looks = {
+        name: refine_corners(lenses.get(name), seen.board, seen.of(name), seen.videos, *how, seen.files)
+        for name in seen.captures.cameras
+    }
+    summary = RefinementSummary(sum(own.recovered for own in looks.values()), sum(own.lost for own in looks.values()))
+    return seen.with_views({name: look.views for name, look in looks.items()}), summary
 
 
 def document(report: RigReport, settings: RigSettings) -> dict[str, Any]:

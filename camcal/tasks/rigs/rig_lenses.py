@@ -10,9 +10,9 @@ import numpy as np
 
 from camcal import files
 from camcal.calibrate import intrinsics
-from camcal.calibrate.fit import ShapeOptions
+from camcal.calibrate.fit import CalibrationFit, ShapeOptions
 from camcal.calibrate.initialise import sweep_focal
-from camcal.calibrate.intrinsics import Calibration, CandidateModel
+from camcal.calibrate.intrinsics import Calibration, CandidateModel, FittedModel
 from camcal.calibrate.rigs.record import Captures
 from camcal.cameras.catalogue import DEFAULT_MODEL, WIDE_MODEL, model_named
 from camcal.cameras.lens import CameraModel
@@ -30,7 +30,7 @@ from camcal.run.paths import split_address
 from camcal.targets.board import Board
 from camcal.targets.detection import BoardDetection
 from camcal.tasks.calibration.mixed_sizes import usual_size
-from camcal.tasks.calibration.model_selection import compared
+from camcal.tasks.calibration.model_selection import brief_calibration, compared, rank_beside
 from camcal.tasks.rigs.options import JOINT, PRIOR, RigSettings
 
 _SIMILAR = 1.3  # ratio of rough focal lengths, up to which two cameras may be of a kind
@@ -48,17 +48,21 @@ class GivenLens:
 @dataclass(frozen=True, eq=False)
 class RigModels:
     """The lens model of every camera, others that predict alike, the models that were compared for cameras of a kind,
-    by its cameras, and brief calibrations of cameras alone, of those that pass.
+    by its cameras, and brief fits of cameras with their models. beside: the models that were asked for and the usual
+    ones, in their order, by cameras.
     """
 
     models: Mapping[str, CameraModel]
     others: Mapping[str, CameraModel] = field(default_factory=dict)
     candidates: Mapping[tuple[str, ...], tuple[CandidateModel, ...]] = field(default_factory=dict)
-    brief: Mapping[str, Calibration] = field(default_factory=dict)
+    starts: Mapping[str, CalibrationFit] = field(default_factory=dict)
     lines: tuple[str, ...] = ()
+    beside: Mapping[str, Sequence[CandidateModel]] = field(default_factory=dict)
 
-    def candidates_of(self, name: str) -> list[CandidateModel]:
-        """Return the models that were compared for a camera, in their order, none where its model was given."""
+    def candidates_of(self, name: str) -> Sequence[CandidateModel]:
+        """Return the models that were compared for a camera, in their order, none where its lens is given."""
+        if name in self.beside:
+            return self.beside[name]
         found = next((compared for names, compared in self.candidates.items() if name in names), ())
         return rank_models(found, DEFAULT_MODEL)
 
@@ -193,13 +197,59 @@ def rig_models(
     models = {name: model_named(model) for name, model in asked.items()} | models
     open_ = [name for name in captures.cameras if name not in models]
     found = _chosen_for(captures, board, open_, shape, circles)
+    estimated = {name: models[name] for name in asked if name not in given or settings.lenses == JOINT}
+    beside = _compare_asked(captures, board, estimated, shape, circles)
     return RigModels(
         {name: {**models, **found.models}[name] for name in captures.cameras},
         found.others,
         found.candidates,
-        found.brief,
+        {**found.starts, **_starts(beside, models)},
         found.lines,
+        beside,
     )
+
+
+def _starts(
+    compared: Mapping[str, Sequence[CandidateModel]], models: Mapping[str, CameraModel]
+) -> dict[str, CalibrationFit]:
+    """Return the brief fits of cameras with their models, among those that were compared."""
+    return {
+        name: own.fit
+        for name, candidates in compared.items()
+        for own in candidates
+        if own.name == models[name].name and isinstance(own, FittedModel) and own.fit is not None
+    }
+
+
+def brief_lenses(
+    captures: Captures, board: Board, settings: RigSettings, shape: ShapeOptions, circles: Mapping[str, ImageCircle]
+) -> dict[str, Calibration]:
+    """Return brief calibrations of cameras alone, by which corners can be expected, of those whose views hold one."""
+    asked, result = _asked(settings.models, captures.cameras), dict[str, Calibration]()
+    for name in captures.cameras:
+        options = intrinsics.Options(model_named(asked.get(name, DEFAULT_MODEL)), shape=shape)
+        views, circle = _views(captures, name), circles.get(name)
+        with suppress(InsufficientData, InvalidInput):
+            found = brief_calibration(views, board, options, circle, choose=name not in asked)
+            result |= {name: found} if found is not None else {}
+    return result
+
+
+def _compare_asked(
+    captures: Captures,
+    board: Board,
+    models: Mapping[str, CameraModel],
+    shape: ShapeOptions,
+    circles: Mapping[str, ImageCircle],
+) -> dict[str, list[CandidateModel]]:
+    """Return the models that cameras were given and the usual ones, in their order, of views that hold a lens."""
+    found = {}
+    for name, model in models.items():
+        views, options = _views(captures, name), intrinsics.Options(model, shape=shape)
+        with suppress(InsufficientData, InvalidInput):
+            [own] = intrinsics.compare_models(views, board, options, [model])
+            found[name] = rank_beside(own, views, board, options, circles.get(name))
+    return found
 
 
 def _asked(texts: Sequence[str], names: Sequence[str]) -> dict[str, str]:
@@ -248,13 +298,8 @@ def _chosen_for(
     alike = [(kind.names, alternative(kind.candidates, kind.model)) for kind in kinds]
     others = {name: model_named(other.name) for own, other in alike if other is not None for name in own}
     lines = tuple(kind.line for kind in kinds if kind.model != DEFAULT_MODEL)
-    brief = {
-        name: own.calibration
-        for name, candidates in found.items()
-        for own in candidates
-        if own.name == models[name].name and own.calibration is not None and not own.failures
-    }
-    return RigModels(models, others, {kind.names: kind.candidates for kind in kinds}, brief, lines)
+    compared_of = {kind.names: kind.candidates for kind in kinds}
+    return RigModels(models, others, compared_of, _starts(found, models), lines)
 
 
 def _focal(views: Sequence[BoardDetection], board: Board) -> float:

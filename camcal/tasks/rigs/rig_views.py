@@ -17,6 +17,7 @@ from camcal.targets.detect import require_findable
 from camcal.targets.detection import BoardDetection, Detections
 from camcal.tasks.calibration.board_search import require_colours
 from camcal.tasks.calibration.board_views import board_views
+from camcal.tasks.calibration.corner_refinement import is_located
 from camcal.tasks.calibration.detect import search_board
 from camcal.tasks.calibration.image_circle_of_views import circle_lines, with_circle
 from camcal.tasks.calibration.mixed_sizes import same_size, usual_size
@@ -147,7 +148,9 @@ def _from_media(cameras: Sequence[CameraInputs], settings: RigSettings, progress
     if any(camera.videos for camera in cameras):
         videos = survey_rig(cameras, settings.frames, settings.tolerance, progress)
     images = [path for camera in cameras for path in camera.images]
-    found = search_board(asked, images, list(videos.videos.values()) if videos else [], options, progress)
+    locate = is_located(settings.refine, settings.reading, mixed_sizes=settings.mixed_sizes)
+    searched = list(videos.videos.values()) if videos else []
+    found = search_board(asked, images, searched, options, progress, locate=locate)
     if found.nothing:
         raise found.nothing
     by_name = {view.image: view for view in found.views}

@@ -22,7 +22,7 @@ from camcal.run.paths import IMAGE_SUFFIXES, find_pairs, split_address
 from camcal.run.process import over_threads
 from camcal.stereo.disparity import Confidence
 from camcal.stereo.geometry import StereoGeometry
-from camcal.stereo.points.cloud import CloudMaker, thinned
+from camcal.stereo.points.cloud import CloudMaker, require_thinning, thinned
 from camcal.stereo.points.depth import StereoImage
 from camcal.stereo.points.frames import CAMERA, OPTICAL, UNITS, Frame, VertexStream, frame_named
 from camcal.stereo.points.selection import RADIUS, Selected, Selection, depth_figures, select
@@ -86,6 +86,13 @@ def make_cloud(item: tuple[Path, CloudOptions], rig: RigPair | None) -> CloudRep
         raise InvalidInput(f"an organised cloud is written as {' or '.join(GRIDS)}", where=str(options.output))
     report = write_points(options, _source(options, rig, heard), heard)
     return replace(report, warnings=tuple(heard.warnings))
+
+
+def require_points(points: PointOptions, vertices: VertexOptions) -> None:
+    """Raise InvalidInput for options that no cloud is made with, before a pair is matched for one."""
+    _selection(replace(points, mask=None))
+    _frame(vertices, np.eye(3), SILENT)
+    require_thinning(points.voxel, points.max_points)
 
 
 def write_points(options: CloudOptions, source: PointSource, progress: Progress = SILENT) -> CloudReport:

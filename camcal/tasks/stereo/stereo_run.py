@@ -34,7 +34,7 @@ from camcal.stereo.rectify.record import Rectification
 from camcal.tasks.rigs.calibrate_rig import calibrated
 from camcal.tasks.rigs.rig_result import RigReport
 from camcal.tasks.rigs.rig_views import rig_views
-from camcal.tasks.stereo.cloud import CloudReport, source_of_match, write_points
+from camcal.tasks.stereo.cloud import CloudReport, require_points, source_of_match, write_points
 from camcal.tasks.stereo.cloud_options import CloudOptions
 from camcal.tasks.stereo.options import PAGE, DisparityOptions
 from camcal.tasks.stereo.pair_matching import PairImages, match_images, rectified_pair
@@ -179,6 +179,7 @@ def stereo_run(options: RunOptions, progress: Progress = SILENT) -> RunReport:
     Raises InvalidInput and FileError for inputs that are no pairs or no rig, what kept the cameras from being
     calibrated or rectified, and the first pair's error when none could be run.
     """
+    require_points(options.points, options.vertices)
     scene = _Scene.of(options)
     folder = options.output
     rectified = folder / RECTIFIED

@@ -271,6 +271,39 @@ def test_the_noise_by_the_median_is_the_true_one_for_few_points_too(points):
     assert fits._robust_noise([fit]) == pytest.approx(0.5, rel=0.1)
 
 
+@pytest.mark.parametrize("points", [4, 5])
+@pytest.mark.parametrize("wrong", [0, 8])
+def test_views_of_few_points_that_hold_a_wrong_one_do_not_raise_the_noise_of_the_others(points, wrong):
+    rng = np.random.default_rng(35)
+    tag = np.array([[-1, 1, 0], [1, 1, 0], [1, -1, 0], [-1, -1, 0], [0, 0, 0]])[:points] * 0.2
+    views = [spoilt(PINHOLE, rng, tag, 0.0, noise_px=0.3)[0] for _ in range(100)]
+    off = np.zeros((points, 2))
+    off[0] = 20.0
+    views[:wrong] = [replace(view, pixels=view.pixels + off) for view in views[:wrong]]
+    found = [outcome.value for outcome in estimate_poses(PINHOLE, views, PoseOptions(outliers="few"))]
+    assert found[-1].noise_scale == pytest.approx(0.3, rel=0.12)  # of 184 residuals: 3 times 1 / sqrt(2 * 184)
+
+
+def test_the_noise_leaves_out_one_right_view_of_few_points_in_a_thousand():
+    """Squares as those of 400 views of four points are on average, and one more that is near the limit."""
+    squares = 2.25 * chi2.ppf((np.arange(400) + 0.5) / 400, 2)
+    limit = chi2.ppf(0.999, 2)
+    share = chi2.cdf(limit, 4) / chi2.cdf(limit, 2)
+    variance = squares.sum() / (800 * share)
+    for times, kept in ((0.97, True), (1.03, False)):
+        every = np.append(squares, times * limit * variance)
+        ones = np.ones(len(every))
+        counts, shares = fits._sound_views(every, 2 * ones, ones, ones > 0)
+        assert (bool(counts[-1]), bool(counts[:-1].all())) == (kept, True)
+        assert shares == pytest.approx(share)
+
+
+def test_of_less_than_six_views_none_is_told_to_be_wrong_by_the_others():
+    for count, kept in ((5, True), (6, False)):
+        squares, ones = np.append(np.ones(count - 1), 1e3), np.ones(count)
+        assert fits._sound_views(squares, 2 * ones, ones, ones > 0)[0][-1] == kept
+
+
 @pytest.mark.parametrize(("moved", "rival"), [(4, True), (6, False)])
 def test_a_mirrored_pose_is_followed_that_half_of_the_points_are_near_to(moved, rival):
     rng = np.random.default_rng(35)

@@ -10,6 +10,10 @@ from camcal.cameras.model import Camera
 from camcal.estimate.pnp import estimate_poses
 from camcal.estimate.poses.records import Correspondences, PoseOptions
 from camcal.estimate.smoothing.kalman import AMBIGUOUS
+from camcal.estimate.tracking.frames import PixelFrames
+from camcal.estimate.tracking.hypotheses import Forward, Hypotheses
+from camcal.estimate.tracking.motion import MotionState
+from camcal.estimate.tracking.pixel_track import lagged
 from camcal.estimate.tracking.process_noise import ProcessNoise
 from camcal.estimate.tracking.track import TrackOptions, track_views
 from camcal.geometry import rotation as so3
@@ -73,6 +77,24 @@ def test_a_frame_is_not_changed_by_frames_beyond_the_look_ahead():
 
 
 @pytest.mark.slow
+def test_with_a_look_ahead_costs_count_by_half_of_what_they_would_if_all_was_known():
+    states = MotionState(np.array([np.eye(3), so3.about_x(1.0)]), np.zeros((2, 3)), np.zeros((2, 1, 6)))
+    spread, nothing = np.tile(np.eye(12), (2, 1, 1)), np.zeros((2, 12, 12))
+    both = Hypotheses(
+        states,
+        spread,
+        np.array([0.0, 4.0]),
+        states,
+        spread,
+        nothing,
+        np.zeros(2, int),
+        np.zeros(2, int),
+        np.zeros((2, 6)),
+    )
+    chance = lagged(Forward((both,)), 0, 0.1, PixelFrames.overstated_ahead)[2]
+    assert chance == pytest.approx([1 / (1 + np.e)])
+
+
 def test_vibration_is_found_and_its_regions_hold():
     rotations, places, views, poses = swaying(0.8, 4, shake=3e-3)
     track = track_views(CAMERA, STAMPS, views, poses, TrackOptions())
