@@ -4,6 +4,7 @@ What Python and numpy allocate is counted, in this process. Not shown here: memo
 has one item in flight, and of libraries below numpy.
 """
 
+import gc
 import os
 import tracemalloc
 from pathlib import Path
@@ -71,6 +72,8 @@ def repeated(made: Path, folder: Path, count: int) -> dict[str, Path]:
 def peak_of(command: str, places: dict[str, Path], output: Path) -> int:
     """Return the most bytes that a command held at once."""
     words = command.format(**places, out=output).split()
+    gc.freeze()  # what earlier tests left: the more there is, the longer figures wait for the collector
+    gc.collect()
     tracemalloc.start()
     try:
         call(*words, *(() if "--jobs" in words else ("--jobs", 1)))
