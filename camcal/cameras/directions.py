@@ -86,8 +86,6 @@ def in_hull(pixels: Array, observed: Array) -> Array:
 
     if len(observed) < 3:
         return np.zeros(len(pixels), bool)
-    from camcal.opencv import convex_hull  # what reads a camera file only needs no OpenCV
-
     corners = observed[convex_hull(observed)]
     sides = np.roll(corners, -1, axis=0) - corners
     area = np.sum(corners[:, 0] * np.roll(corners[:, 1], -1) - corners[:, 1] * np.roll(corners[:, 0], -1))
