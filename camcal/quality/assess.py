@@ -97,7 +97,8 @@ def assess(
     region = known_region(uncertainty, KNOWN_PX / _few_views_factor(len(calibration.used)))
     others = other_models(camera.model.name, candidates)
     # where the map states too much, a change of the focal length may be the cause, and is not measured by it
-    allowed_px = stated_px if region.of_observed >= _limit("known_region") else 0.0
+    excused = better is not None or region.of_observed >= _limit("known_region")
+    allowed_px = stated_px if excused else 0.0
     parts = (
         partial(_fold, circle=circle, others=others),
         _cameras,

@@ -750,6 +750,9 @@ def test_a_region_that_a_better_lens_model_makes_too_small_is_refused_with_that_
     assert [message.code for message in found.failures] == ["known_region"]
     assert "use --model opencv8, which passes all checks" in found.failures[0].text
     assert [message.code for message in found.warnings] == ["better_model"]
+    # and a change of the focal length, which the map alone allows, is not why
+    changing_too = assess(moving_corners(certain(good, 0.2), 0.5), candidates=(far, own))
+    assert [message.code for message in changing_too.failures] == ["known_region"]
 
 
 def test_views_that_lost_most_of_their_corners_are_named(good):
