@@ -9,7 +9,6 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.cameras.model import Camera
 from camcal.geometry import rotation as so3
-from camcal.opencv import convex_hull
 
 _FEWEST = 10  # pixels that a rotation is fitted to
 _FLAT = 1e-6  # px, the width of a hull that is a line
@@ -83,6 +82,8 @@ def _rotations(moved: Array, by_rotation: Array) -> Array:
 
 def in_hull(pixels: Array, observed: Array) -> Array:
     """Return which pixels (N, 2) lie in the convex hull of others (M, 2): none if these are on one line."""
+    from camcal.opencv import convex_hull  # here, for commands that do without OpenCV
+
     if len(observed) < 3:
         return np.zeros(len(pixels), bool)
     corners = observed[convex_hull(observed)]

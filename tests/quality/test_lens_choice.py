@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from camcal.calibrate.intrinsics import CandidateModel
-from camcal.quality import assess as verdict
+from camcal.quality import assess
 from camcal.quality.lens_choice import alternative, chosen, rank_models
 
 VIEWS, CORNERS = 10, 100
@@ -87,9 +87,9 @@ def test_models_that_pass_come_first_then_those_that_do_not_then_those_without_a
 def test_pixels_without_a_ray_count_as_known_to_a_hundredth_of_the_diagonal(monkeypatch, known):
     std = np.array([0.5, known])
     found = SimpleNamespace(uncertainty=SimpleNamespace(std_rms=std, pixels=np.zeros((2, 2))), failures=())
-    monkeypatch.setattr(verdict, "assess", lambda *_: found)
+    monkeypatch.setattr(assess, "assess", lambda *_: found)
     own = replace(
         candidate("own", 1.0, 2.0), calibration=SimpleNamespace(camera=SimpleNamespace(image_size=(300, 400)))
     )
     expected = 0.5 if np.isfinite(known) else np.sqrt((0.5**2 + 5.0**2) / 2)
-    assert verdict.judge([own])[0].map_px == pytest.approx(expected)
+    assert assess.judge([own])[0].map_px == pytest.approx(expected)
