@@ -179,7 +179,8 @@ def solve_given(
     `intrinsics.calibrate` does.
     """
     free = replace(options, fixed=(), guess=None)
-    [own] = compare_models(views, board, options, [options.model])
+    with stage(progress, "solving briefly"):
+        [own] = compare_models(views, board, options, [options.model])
     start = _fit_of(own)
     # what is held is known better than other models know it
     beside: list[CandidateModel] = [] if options.fixed else [own]
@@ -199,9 +200,10 @@ def solve_given(
             calibration = intrinsics.calibrate(views, board, options, start)
     except (InsufficientData, NotConverged) as error:
         raise _with_remedy(error, own.name, rank_all() if _is_of_the_lens(error) else ()) from error
-    with stage(progress, "checking"):
-        if not options.fixed:
+    if not options.fixed:
+        with stage(progress, "choosing the lens model"):
             beside = rank_beside(own, views, board, free, circle)
+    with stage(progress, "checking"):
         found = Selection(calibration, assess(calibration, circle, beside))
     return found if found.assessment.trustworthy else replace(found, assessment=assess(calibration, circle, rank_all()))
 
