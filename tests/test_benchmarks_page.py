@@ -24,7 +24,7 @@ def test_every_result_is_shown_and_no_table_stands_in_the_text():
     assert set(results()) - used(TEXT.replace("{result rig_faults}", "")) == {"rig_faults"}
     assert used(TEXT) == set(results())
     tables = re.findall(r"^\|---.*\n\|? ?(.*)$", TEXT, flags=re.MULTILINE)
-    assert [row.partition("]")[0] for row in tables] == ["[Speed of the solver", "{list of results}"]
+    assert [row.partition("]")[0] for row in tables] == ["[From images to a camera", "{list of results}"]
     assert "```text" not in TEXT
 
 

@@ -51,7 +51,7 @@ def test_corners_followed_tell_the_rows_of_a_real_pair_as_features_do(real_data,
     left, right = pair_of(real_data, name)
     quick, thorough = quick_residual(left, darker(lowered(right, 0.5))), vertical_residual(left, lowered(right, 0.5))
     assert quick.trend.centre.value == pytest.approx(thorough.trend.centre.value, abs=0.1)  # other places of the scene
-    assert len(quick.dy) > 500
+    assert len(quick.dy) > 300  # of 400 corners that are followed
 
 
 def test_real_pairs_are_not_found_to_be_anything_else_than_pairs(real_data):

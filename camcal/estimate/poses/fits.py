@@ -35,7 +35,7 @@ _MIN_POINTS_FOR_OUTLIER = 6  # points of which one can be told to be wrong by th
 _ESTIMATIONS = 3  # of noise and inliers in turns
 _EQUAL = 1e-6  # share by which the costs of poses that are the same may differ
 _FAR = 25.0  # times the limit of a squared residual: from there, no point is thought to be right
-_RARE = 1e-3  # probability of a right view beyond the limit of its squared residuals
+_RARE = 1e-5  # probability of a right view beyond the limit of its squared residuals; real corners have long tails
 _FEWEST_VIEWS, _VIEW_ROUNDS = 6, 20
 _TURNS = 3  # of the share of wrong points, or of the noise, and what follows from it
 
@@ -139,7 +139,7 @@ def pooled(fits: Sequence[PoseFit], criterion: InlierCriterion | None = None, *,
 def _sound_views(squares: Array, dof: Array, shares: Array, few: Array) -> tuple[Array, Array]:
     """Return which views (P,) count, and the share of the variance that their squares (P,) have on average.
 
-    few: the views of which any may hold a wrong point. Such a one is off by more than what 99.9 % of right ones stay
+    few: the views of which any may hold a wrong point. Such a one is off by more than what all but one in 100 000 right ones stay
     below, by the noise of those that count, to begin with by the median.
     """
     from scipy.special import chdtr, chdtri

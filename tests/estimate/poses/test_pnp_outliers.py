@@ -284,10 +284,10 @@ def test_views_of_few_points_that_hold_a_wrong_one_do_not_raise_the_noise_of_the
     assert found[-1].noise_scale == pytest.approx(0.3, rel=0.12)  # of 184 residuals: 3 times 1 / sqrt(2 * 184)
 
 
-def test_the_noise_leaves_out_one_right_view_of_few_points_in_a_thousand():
+def test_the_noise_leaves_out_one_right_view_of_few_points_in_a_hundred_thousand():
     """Squares as those of 400 views of four points are on average, and one more that is near the limit."""
     squares = 2.25 * chi2.ppf((np.arange(400) + 0.5) / 400, 2)
-    limit = chi2.ppf(0.999, 2)
+    limit = chi2.isf(1e-5, 2)
     share = chi2.cdf(limit, 4) / chi2.cdf(limit, 2)
     variance = squares.sum() / (800 * share)
     for times, kept in ((0.97, True), (1.03, False)):
