@@ -33,7 +33,7 @@ LINES = {
     "options": 400,
     "parsing": 67,
     "progress": 139,
-    "quality": 1495,
+    "quality": 1496,
     "raw": 5019,
     "report": 6612,
     "run": 3674,

@@ -139,8 +139,8 @@ def pooled(fits: Sequence[PoseFit], criterion: InlierCriterion | None = None, *,
 def _sound_views(squares: Array, dof: Array, shares: Array, few: Array) -> tuple[Array, Array]:
     """Return which views (P,) count, and the share of the variance that their squares (P,) have on average.
 
-    few: the views of which any may hold a wrong point. Such a one is off by more than what all but one in 100 000 right ones stay
-    below, by the noise of those that count, to begin with by the median.
+    few: the views of which any may hold a wrong point. Such a one is off by more than what all but one in 100 000 right
+    ones stay below, by the noise of those that count, to begin with by the median.
     """
     from scipy.special import chdtr, chdtri
 
