@@ -23,7 +23,7 @@ from camcal.cameras.model import Camera
 from camcal.cameras.reprojection import linearised, residuals
 from camcal.errors import InsufficientData, NotConverged
 from camcal.solve.least_squares import Solution, minimise
-from camcal.solve.losses import Cauchy, Loss
+from camcal.solve.losses import Cauchy, Loss, chi_square_beyond
 from camcal.solve.steps import Block, Jacobian, SingularError, Step
 from camcal.targets.detection import BoardDetection
 
@@ -248,8 +248,6 @@ def _simplest(problem: _LensProblem, full: Solution[Array], main_sigma: float) -
     main_sigma: the noise of the main camera's corners. The errors of its lens lie where this lens can follow them, so
     that along its parameters both noises add up.
     """
-    from scipy.special import chdtrc
-
     names = problem.model.parameter_names
     share = problem.sigma**2 / (problem.sigma**2 + main_sigma**2)
     for stage in problem.model.colour_stages:
@@ -259,6 +257,6 @@ def _simplest(problem: _LensProblem, full: Solution[Array], main_sigma: float) -
             continue
         trial = replace(problem, free=free)
         solution = minimise(trial, problem.start)
-        if solution.converged and chdtrc(dof, 2 * share * (solution.cost - full.cost)) > _SIGNIFICANCE:
+        if solution.converged and chi_square_beyond(2 * share * (solution.cost - full.cost), dof) > _SIGNIFICANCE:
             return trial, solution
     return problem, full

@@ -45,12 +45,12 @@ def lens_difference(camera: Camera, other: Camera, pixels: Array, fitted: Array 
     for _ in range(_TURNS):
         found = other.model.project_with_jacobians(other.parameters, rays)
         apart, by_rotation = (found.pixels - pixels)[:, :, None], found.d_point @ -so3.hat(rays)
-        chosen = _fitted(apart, by_rotation, fitted)
+        chosen = _select_fitted(apart, by_rotation, fitted)
         rays = rays @ so3.exp(_rotations(apart[chosen], by_rotation[chosen])[:, 0])  # by its inverse
     return np.asarray(_without_rotation(apart, by_rotation, fitted)[:, :, 0])
 
 
-def _fitted(moved: Array, by_rotation: Array, fitted: Array | None) -> Array:
+def _select_fitted(moved: Array, by_rotation: Array, fitted: Array | None) -> Array:
     """Return the pixels (N,) bool that a rotation is fitted to: see `direction_displacements`."""
     valid = np.isfinite(moved).all(axis=(1, 2)) & np.isfinite(by_rotation).all(axis=(1, 2))
     return np.asarray(valid if fitted is None or np.sum(valid & fitted) < _FEWEST else valid & fitted)
@@ -58,9 +58,9 @@ def _fitted(moved: Array, by_rotation: Array, fitted: Array | None) -> Array:
 
 def _without_rotation(moved: Array, by_rotation: Array, fitted: Array | None) -> Array:
     """Return displacements (N, 2, C) without what the rotation explains that explains most of them."""
-    chosen = _fitted(moved, by_rotation, fitted)
+    chosen = _select_fitted(moved, by_rotation, fitted)
     displacements = moved - by_rotation @ _rotations(moved[chosen], by_rotation[chosen])
-    displacements[~_fitted(moved, by_rotation, None)] = np.nan
+    displacements[~_select_fitted(moved, by_rotation, None)] = np.nan
     return np.asarray(displacements)
 
 

@@ -148,7 +148,8 @@ class _Worker:
         self.deadline = float("inf")
         if os.name == "posix" and not forked:  # starting it later would unblock Ctrl-C, which is blocked below
             resource_tracker.ensure_running()
-        held = signals_held("SIGINT", *STOPPING) if forked else worker_environment(needs_main=_has_main(payload))
+        needs_main = b"__main__" in payload.message
+        held = signals_held("SIGINT", *STOPPING) if forked else worker_environment(needs_main=needs_main)
         with held, warnings.catch_warnings():
             # Python 3.12 warns of every thread, also of one that only waits for signals
             warnings.simplefilter("ignore", DeprecationWarning)
@@ -298,11 +299,6 @@ def _stop(workers: list[_Worker]) -> None:
             worker.process.kill()
             worker.process.join()
         worker.process.close()
-
-
-def _has_main(payload: Payload) -> bool:
-    """Return whether a payload is of the main script."""
-    return b"__main__" in payload.message
 
 
 def _serve_forked(*own: Any) -> None:

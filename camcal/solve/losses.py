@@ -80,7 +80,8 @@ class Tukey:
 
 
 def chi_square_beyond(value: float, dof: int) -> float:
-    """Return the probability that the sum of `dof` squared standard normal numbers is more than `value`.
+    """Return the probability that the sum of `dof` squared standard normal numbers, some tens at most, is more than
+    `value`: e^(-value / 2), by which all terms count, would vanish for hundreds of them.
 
     Its closed form, as SciPy takes longer to import than a small problem to solve.
     Source: Abramowitz and Stegun 1964, 26.4.4 and 26.4.5.

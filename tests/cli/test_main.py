@@ -396,30 +396,27 @@ def test_inspecting_the_camera_file_of_a_fisheye_loads_only_what_reads_it(tmp_pa
     assert not heavy & set(process.stderr.split())
 
 
+def modules_after(program):
+    """Return the modules that a program in a process of its own ends with."""
+    words = [sys.executable, "-c", f"{program}\nimport sys\nprint(*sys.modules)"]
+    return set(subprocess.run(words, capture_output=True, text=True, check=True).stdout.split())
+
+
 def test_calibrating_imports_what_it_needs_and_no_scipy():
-    program = (
-        "import sys, cv2, numpy as np, camcal\n"
-        "from camcal.tasks.calibration.calibrate import calibrate\n"
-        "import camcal.targets.checker.chessboard\n"
-        "print(*sys.modules)"
-    )
-    process = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
-    assert "camcal.calibrate.fit" in process.stdout.split()
-    assert not {"scipy", "matplotlib", "rich", "rawpy", "jinja2"} & set(process.stdout.split())
+    found = modules_after("import camcal.tasks.calibration.calibrate, camcal.targets.checker.chessboard")
+    assert "camcal.calibrate.fit" in found
+    assert not {"scipy", "matplotlib", "rich", "rawpy", "jinja2"} & found
 
 
 def test_no_command_imports_the_core_before_it_is_run():
-    program = (
-        "import sys\n"
+    found = modules_after(
         "from camcal.cli.main import COMMANDS, Commands\n"
         "for group in ('', 'stereo', 'transform'):\n"
         "    for each in Commands(group).values():\n"
-        "        each.get_params\n"
-        "print(*sys.modules)"
+        "        each.get_params"
     )
-    process = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
-    assert "camcal.cli.stereo" in process.stdout.split()
-    assert not {"numpy", "scipy", "cv2", "yaml", "matplotlib"} & set(process.stdout.split())
+    assert "camcal.cli.stereo" in found
+    assert not {"numpy", "scipy", "cv2", "yaml", "matplotlib"} & found
 
 
 @pytest.mark.parametrize("group", ["stereo", "transform"])

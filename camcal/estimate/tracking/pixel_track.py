@@ -230,7 +230,7 @@ class _Run:
         self, forward: Forward, found: NoiseFit, whole: Searched, lag: int, noise: ProcessNoise | None
     ) -> PixelTrack:
         """Return the estimate of each frame from the frames up to `lag` later ones."""
-        states, covariances, p_wrong = lagged(forward, lag, FAR, self.frames.overstated_ahead)
+        states, covariances, p_wrong = look_ahead(forward, lag, FAR, self.frames.overstated_ahead)
         path = _Path.of(forward, len(self.stamps) - 1)
         kinds = np.array([_best_kind(forward, frame) for frame in range(path.first, len(self.stamps))])
         shakes = process_noise.covariance_for(found.jitter_std, states.translations)
@@ -341,7 +341,7 @@ def _gains(spread: Array, expected_spread: Array, growth: Array) -> Array:
     return np.asarray(np.linalg.solve(expected_spread, growth @ spread).swapaxes(-1, -2))
 
 
-def lagged(forward: Forward, lag: int, far: float, overstated: float) -> tuple[MotionState, Array, Array]:
+def look_ahead(forward: Forward, lag: int, far: float, overstated: float) -> tuple[MotionState, Array, Array]:
     """Return the states (M), covariances (M, S, S) and chances (M) that another pose holds, from the first detection.
 
     far: angle (rad) from which on a pose is another one. overstated: by how much differences of costs are too large.
