@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from camcal import records
 from camcal.cli import show
 from camcal.cli.call import Call, ImageCall
 from camcal.messages import counted
@@ -60,17 +61,17 @@ def _develop(options: DemosaicOptions, call: ImageCall) -> None:
 
 
 def _make_map(options: DemosaicOptions, call: ImageCall) -> None:
-    from camcal.tasks.raw.demosaic import make_bad_pixel_map, map_document
+    from camcal.tasks.raw.demosaic import make_bad_pixel_map
 
     found = make_bad_pixel_map(options, call.progress)
-    call.give(lambda: map_document(found), lambda: _show_map(found))
+    call.give(lambda: records.document(found), lambda: _show_map(found))
 
 
 def _preview(options: DemosaicOptions, call: ImageCall) -> None:
-    from camcal.tasks.raw.demosaic import preview_patterns, previews_document
+    from camcal.tasks.raw.demosaic import preview_patterns
 
     previews = preview_patterns(options)
-    call.give(lambda: previews_document(previews), lambda: _show_previews(previews))
+    call.give(lambda: {"previews": previews}, lambda: _show_previews(previews))
 
 
 def _show_map(found: "BadPixelMap") -> None:

@@ -1,7 +1,7 @@
 """`camcal optics`: field of view, sharpness, and expected accuracy with a board."""
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from math import degrees, isfinite, isnan
 from pathlib import Path
 
@@ -11,6 +11,7 @@ from camcal.estimate.poses.records import AMBIGUOUS, WEAK_TURN
 from camcal.formats.boards import load_board
 from camcal.messages import Message
 from camcal.progress import SILENT, Progress, warn_of
+from camcal.records import entry
 from camcal.run.outputs import writes
 from camcal.targets.board_types import BOARD_TYPES
 from camcal.tasks.lenses import optics_figures as part
@@ -27,13 +28,13 @@ class OpticsReport:
     """
 
     setup: Setup
-    field_of_view: part.FieldOfView | None
-    pixel_angle: part.PixelAngle | None
-    focus: part.Focus | None
-    diffraction: part.Diffraction | None
-    exposure: part.Exposure | None
-    image_circle: part.ImageCircle | None
-    at: tuple[part.AtDistance, ...]
+    field_of_view: part.FieldOfView | None = field(metadata=entry())
+    pixel_angle: part.PixelAngle | None = field(metadata=entry())
+    focus: part.Focus | None = field(metadata=entry())
+    diffraction: part.Diffraction | None = field(metadata=entry())
+    exposure: part.Exposure | None = field(metadata=entry())
+    image_circle: part.ImageCircle | None = field(metadata=entry())
+    at: tuple[part.AtDistance, ...] = field(metadata=entry("distances"))
     board: BoardPlan | None
     missing: Mapping[str, str]
     warnings: tuple[Message, ...]
@@ -59,7 +60,7 @@ def _report(setup: Setup) -> OpticsReport:
     distances = setup.options.distances or tuple(value for value in (setup.focus,) if value and isfinite(value))
     report = OpticsReport(
         setup=setup,
-        field_of_view=part.field(setup),
+        field_of_view=part.angles_of_view(setup),
         pixel_angle=part.pixel_angle(setup),
         focus=part.focus(setup),
         diffraction=part.diffraction(setup),

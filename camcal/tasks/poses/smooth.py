@@ -1,6 +1,6 @@
 """`camcal smooth`: smoothing of trajectories or series, with covariances and noise estimates."""
 
-from dataclasses import asdict, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -51,7 +51,7 @@ def document(found: Smoothing) -> dict[str, Any]:
     """Return what came of smoothing as plain data for --json."""
     options = found.options
     return {
-        "source": options.source.as_posix(),
+        "source": options.source,
         "kind": found.kind,
         "measurements": found.measured,
         "missing": found.missing,
@@ -68,10 +68,10 @@ def document(found: Smoothing) -> dict[str, Any]:
         "residual_rms": found.residual,
         "log_likelihood": found.log_likelihood,
         "consistency": found.consistency.data(),
-        "nis": {name: values.tolist() for name, values in found.nis.items()},
-        "outliers": [asdict(outlier) for outlier in found.outliers],
+        "nis": found.nis,
+        "outliers": found.outliers,
         "evaluation": evaluation(found),
-        "written": [path.as_posix() for path in found.written],
+        "written": found.written,
         **figure_data(found.figures),
     }
 
@@ -232,8 +232,7 @@ def _figures(error: TrajectoryError) -> dict[str, Any]:
         "rpe_m": error.relative_translation,
         "rpe_rad": error.relative_rotation,
     }
-    plain = {name: None if figures is None else asdict(figures) for name, figures in parts.items()}
-    return {"poses": error.poses, "scale": error.alignment.scale, "pairs": error.pairs, **plain}
+    return {"poses": error.poses, "scale": error.alignment.scale, "pairs": error.pairs, **parts}
 
 
 def broken_at_half_turns(vectors: Array) -> Array:

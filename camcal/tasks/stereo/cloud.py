@@ -1,10 +1,10 @@
 """A disparity map and what is known of its pair, or an unrectified pair and its rig, to a point cloud."""
 
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from camcal.images.files import load
 from camcal.messages import Message
 from camcal.parsing import parse_number
 from camcal.progress import SILENT, Collected, Progress, values_of, warn_of
+from camcal.records import OMITTED, entry
 from camcal.run.fanout import fan_out
 from camcal.run.paths import IMAGE_SUFFIXES, find_pairs, split_address
 from camcal.run.process import over_threads
@@ -55,13 +56,13 @@ class CloudReport:
     outliers: int
     scale: float
     geometry: StereoGeometry
-    depth: tuple[float, float, float] | None
+    depth: tuple[float, float, float] | None = field(metadata=entry("depth_m", parts=("min", "median", "max")))
     appearance: str
     frame: str
     unit: str
     fields: tuple[str, ...]
     calibration_known: bool
-    warnings: tuple[Message, ...] = ()
+    warnings: tuple[Message, ...] = field(default=(), metadata=OMITTED)
     reused: bool = False
 
 
@@ -311,24 +312,3 @@ def _report(
         fields=tuple(fields),
         calibration_known=image.calibration is not None,
     )
-
-
-def document(report: CloudReport) -> dict[str, Any]:
-    """Return the report as plain data for --json."""
-    names = ("min", "median", "max")
-    return {
-        "output": report.output.as_posix(),
-        "points": report.points,
-        "pixels": report.pixels,
-        "matched": report.matched,
-        "outliers": report.outliers,
-        "scale": report.scale,
-        "geometry": asdict(report.geometry),
-        "depth_m": dict(zip(names, report.depth, strict=True)) if report.depth else None,
-        "appearance": report.appearance,
-        "frame": report.frame,
-        "unit": report.unit,
-        "fields": list(report.fields),
-        "calibration_known": report.calibration_known,
-        "reused": report.reused,
-    }

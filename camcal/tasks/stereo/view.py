@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from math import pi, radians
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
 
 import numpy as np
 
@@ -204,20 +203,6 @@ _MAKERS = {
     RECORDING: _write_recording,
     WINDOW: _open_window,
 }
-
-
-def document(report: ViewReport) -> dict[str, Any]:
-    """Return the report as plain data for --json."""
-    return {
-        "output": report.output.as_posix() if report.output else None,
-        "kind": report.kind,
-        "colour": report.colour,
-        "points": report.points,
-        "shown": report.shown,
-        "outside": report.outside,
-        "unit": report.unit,
-        "frame": report.frame,
-    }
 
 
 def is_cloud(path: Path) -> bool:
