@@ -8,7 +8,7 @@ import pytest
 from report_scenes import SCENES, detections_of
 
 import camcal
-from camcal.brief import ELSEWHERE, Brief
+from camcal.records import ELSEWHERE, Brief
 
 LONGEST = 500
 

@@ -138,7 +138,7 @@ def optics(options: OpticsOptions, call: Call) -> None:
     Give what is known: a camera file, or a focal length and a sensor. All figures that follow are shown, and which
     input the others need. --formats lists sensors.
     """
-    from camcal.tasks.lenses import optics_document as words
+    from camcal.tasks.lenses import optics as words
     from camcal.tasks.lenses.optics import optics as run
 
     if options.formats:
@@ -149,7 +149,7 @@ def optics(options: OpticsOptions, call: Call) -> None:
 
 
 def _show_formats() -> None:
-    from camcal.tasks.lenses import optics_document as words
+    from camcal.tasks.lenses import optics as words
 
     sides = [Column(name, "mm") for name in ("width", "height", "diagonal")]
     columns = [Column("name"), *sides, Column("the name says", "mm")]
@@ -158,7 +158,7 @@ def _show_formats() -> None:
 
 
 def _show(report: "OpticsReport") -> None:
-    from camcal.tasks.lenses import optics_document as words
+    from camcal.tasks.lenses import optics as words
 
     show.table(
         "lens and sensor", ["figure", "value", "unit", Column("from", wraps=True)], list(words.lens_rows(report))

@@ -9,10 +9,8 @@ from camcal.cli import show
 from camcal.cli.call import Call, ImageCall
 from camcal.messages import counted
 from camcal.report.table import Column
-from camcal.tasks.stereo.cloud_options import CloudOptions
 from camcal.tasks.stereo.options import DisparityOptions, EvalOptions, StereoCheckOptions, ViewOptions
-from camcal.tasks.stereo.rectify_options import RectifyOptions
-from camcal.tasks.stereo.run_options import RunOptions
+from camcal.tasks.stereo.run_options import CloudOptions, RectifyOptions, RunOptions
 
 if TYPE_CHECKING:
     from camcal.progress import Outcome

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camcal.arrays import Float32Array, readonly
-from camcal.brief import Brief
 from camcal.messages import Message
+from camcal.records import Brief
 
 
 class Confidence(IntEnum):

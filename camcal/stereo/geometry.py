@@ -10,11 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from camcal.arrays import Array, Float32Array, FloatArray
-from camcal.brief import Brief
 from camcal.cameras.model import Camera
 from camcal.errors import InvalidInput
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
+from camcal.records import Brief
 from camcal.stereo.rectify.record import AXES, LATLON, MODELS, PINHOLE, PROJECTIONS, Rectification
 
 BESIDE, BELOW = AXES

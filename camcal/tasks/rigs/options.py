@@ -17,7 +17,7 @@ from camcal.options import (
     Without,
 )
 from camcal.raw.options import AS_IMAGES, ImageReadOptions
-from camcal.run.options import DEFAULT_BATCH, BatchOptions
+from camcal.run.settings import DEFAULT_BATCH, BatchOptions
 from camcal.tasks.calibration.options import (
     BEST_FRAMES,
     TRUSTWORTHY,
@@ -44,7 +44,7 @@ from camcal.tasks.options import (
     ReportFile,
     result_option,
 )
-from camcal.tasks.poses.track_options import Timing
+from camcal.tasks.poses.smooth_options import Timing
 from camcal.tasks.suggestions import lens_model_names, lens_models
 
 if TYPE_CHECKING:

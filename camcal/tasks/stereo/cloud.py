@@ -24,14 +24,20 @@ from camcal.run.process import over_threads
 from camcal.stereo.disparity import Confidence
 from camcal.stereo.geometry import StereoGeometry
 from camcal.stereo.points.cloud import CloudMaker, require_thinning, thinned
-from camcal.stereo.points.depth import StereoImage
-from camcal.stereo.points.frames import CAMERA, OPTICAL, UNITS, Frame, VertexStream, frame_named
+from camcal.stereo.points.frames import CAMERA, OPTICAL, UNITS, Frame, StereoImage, VertexStream, frame_named
 from camcal.stereo.points.selection import RADIUS, Selected, Selection, depth_figures, select
 from camcal.tasks.stereo import rectified_pair
-from camcal.tasks.stereo.cloud_options import CloudOptions, PointOptions, VertexOptions
-from camcal.tasks.stereo.pair_matching import Matched, PairImages, match_images, read_pair
 from camcal.tasks.stereo.rectified_pair import RectifiedPair, named_file, stereo_image
-from camcal.tasks.stereo.rig_pair import RigPair, require_rectified, unrectified_pair
+from camcal.tasks.stereo.rig_pair import (
+    Matched,
+    PairImages,
+    RigPair,
+    match_images,
+    read_pair,
+    require_rectified,
+    unrectified_pair,
+)
+from camcal.tasks.stereo.run_options import CloudOptions, PointOptions, VertexOptions
 
 GRIDS = (".pcd",)  # point clouds that can be organised as an image
 

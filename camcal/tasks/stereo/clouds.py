@@ -14,8 +14,8 @@ from camcal.run.outputs import claim, writes
 from camcal.run.paths import find_pairs, place, require_there
 from camcal.run.resume import Items, resumable
 from camcal.tasks.stereo.cloud import GRIDS, CloudReport, make_cloud, rig_of_cloud
-from camcal.tasks.stereo.cloud_options import CloudOptions
 from camcal.tasks.stereo.rig_pair import RigPair
+from camcal.tasks.stereo.run_options import CloudOptions
 
 _SUFFIX = ".ply"
 

@@ -17,14 +17,14 @@ from camcal.options import command_line
 from camcal.progress import SILENT, Outcome, Progress, failed_items, reused
 from camcal.run.outputs import claim, writes
 from camcal.run.paths import find_media, paired, refuse_collisions, split_address
-from camcal.stereo.rectify.options import RectifiedViewOptions
+from camcal.stereo.options import RectifiedViewOptions
 from camcal.stereo.rectify.plan import PairMaps, build_pair_maps
 from camcal.stereo.rectify.record import Rectification
 from camcal.tasks.calibration.drawing import Drawing, Drawn, Sources, require_success
 from camcal.tasks.calibration.undistort import suffix_of
 from camcal.tasks.given_camera import require_no_image
-from camcal.tasks.stereo.rectify_options import RectifyOptions
 from camcal.tasks.stereo.rig_pair import GivenRig, read_rig, rectified_file
+from camcal.tasks.stereo.run_options import RectifyOptions
 
 CAMERA_FILE, MAPS_FILE, OPENCV_FILE, ROS_FOLDER = "rectified.yaml", "maps.npz", "opencv.yml", "ros"
 _FRAME_SUFFIX = ".jpg"

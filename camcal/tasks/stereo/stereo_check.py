@@ -22,9 +22,8 @@ from camcal.run.paths import find_pairs, place
 from camcal.stereo.pair.pair_check import PairCheck, check_pair
 from camcal.tasks.given_camera import Size
 from camcal.tasks.stereo.options import GeometryOptions, StereoCheckOptions
-from camcal.tasks.stereo.pair_matching import PairImages, read_pair
 from camcal.tasks.stereo.rectified_pair import RectifiedPair, pair_of, warn_of_file
-from camcal.tasks.stereo.rig_pair import RigPair, unrectified_pair
+from camcal.tasks.stereo.rig_pair import PairImages, RigPair, read_pair, unrectified_pair
 
 _SUFFIX = "_check.png"
 _STEP_PX = 1e-3  # of the row offsets that all pairs together are judged by

@@ -25,9 +25,8 @@ from camcal.run.paths import find_pairs, place
 from camcal.run.resume import Items, resumable
 from camcal.stereo.disparity import Confidence, Disparity
 from camcal.tasks.stereo.options import ONNX, OWN, DisparityOptions
-from camcal.tasks.stereo.pair_matching import Matched, PairImages, match_images, read_pair
 from camcal.tasks.stereo.rectified_pair import pair_of, warn_of_file
-from camcal.tasks.stereo.rig_pair import RigPair, unrectified_pair
+from camcal.tasks.stereo.rig_pair import Matched, PairImages, RigPair, match_images, read_pair, unrectified_pair
 
 _KINDS = ("sigma.tiff", "confidence.png", "vis.png", "left.png")
 

@@ -35,11 +35,18 @@ from camcal.tasks.rigs.calibrate_rig import calibrated
 from camcal.tasks.rigs.rig_result import RigReport
 from camcal.tasks.rigs.rig_views import rig_views
 from camcal.tasks.stereo.cloud import CloudReport, require_points, source_of_match, write_points
-from camcal.tasks.stereo.cloud_options import CloudOptions
 from camcal.tasks.stereo.options import PAGE, DisparityOptions
-from camcal.tasks.stereo.pair_matching import PairImages, match_images, rectified_pair
-from camcal.tasks.stereo.rig_pair import GivenRig, RigPair, read_rig, rectified_file, rig_pair
-from camcal.tasks.stereo.run_options import RunOptions
+from camcal.tasks.stereo.rig_pair import (
+    GivenRig,
+    PairImages,
+    RigPair,
+    match_images,
+    read_rig,
+    rectified_file,
+    rectified_pair,
+    rig_pair,
+)
+from camcal.tasks.stereo.run_options import CloudOptions, RunOptions
 from camcal.tasks.stereo.stereo_check import check_images
 from camcal.tasks.stereo.stereo_disparity import Figures, MapFiles, for_png, write_map
 from camcal.tasks.stereo.view import MOST_POINTS, cloud_in

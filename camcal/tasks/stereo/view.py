@@ -20,7 +20,7 @@ from camcal.formats.disparity import DisparityMap
 from camcal.formats.disparity_sidecar import Sidecar
 from camcal.geometry.pose import rotation_of
 from camcal.images.files import save
-from camcal.images.npy import names_in
+from camcal.images.image import names_in
 from camcal.progress import SILENT, Progress
 from camcal.report import cloud_view
 from camcal.report.cloud_scene import CloudScene, gather, turn, view_of
