@@ -23,7 +23,7 @@ from camcal.geometry.pose import Trajectory
 from camcal.messages import Message
 from camcal.progress import SILENT, Progress
 from camcal.report.figures.figure import encoded
-from camcal.report.figures.over_time import Panel, over_time
+from camcal.report.figures.over_time import Panel, broken_at_half_turns, over_time
 from camcal.report.figures.trajectories import path_of, trajectory_plots
 from camcal.report.track_words import consistency_details, consistency_line
 from camcal.run.outputs import writes
@@ -346,12 +346,6 @@ def evaluation(found: Smoothing) -> dict[str, Any] | None:
             for state, error in (("measured", found.before), ("smoothed", found.after))
         },
     }
-
-
-def broken_at_half_turns(vectors: Array) -> Array:
-    """Return rotation vectors (K, 3) to draw a line through: NaN where they jump to the other way round."""
-    jumps = np.linalg.norm(np.diff(vectors, axis=0), axis=1) > np.pi
-    return np.where(np.append(False, jumps)[:, None], np.nan, vectors)
 
 
 def _of_poses(
