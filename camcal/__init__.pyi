@@ -80,7 +80,7 @@ from camcal.stereo.matching.match import match as match_pair
 from camcal.stereo.options import MatchOptions as MatchOptions
 from camcal.stereo.options import RectifiedViewOptions as RectifiedViewOptions
 from camcal.stereo.points.cloud import CloudMaker as CloudMaker
-from camcal.stereo.points.depth import StereoImage as StereoImage
+from camcal.stereo.points.frames import StereoImage as StereoImage
 from camcal.stereo.rectify.plan import PairMaps as PairMaps
 from camcal.stereo.rectify.plan import build_pair_maps as build_pair_maps
 from camcal.stereo.rectify.plan import plan_rectification as plan_rectification
