@@ -13,8 +13,7 @@ import numpy as np
 
 from camcal.arrays import Array, readonly
 from camcal.errors import InsufficientData, InvalidInput
-from camcal.stereo.disparity import Confidence
-from camcal.stereo.geometry import StereoGeometry
+from camcal.stereo.disparity import Confidence, StereoGeometry
 from camcal.stereo.points.frames import StereoImage
 
 _STEPS = 100

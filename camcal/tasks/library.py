@@ -25,8 +25,7 @@ from camcal.images.remap import build_maps
 from camcal.images.views import make_view
 from camcal.progress import SILENT, Progress
 from camcal.records import Brief
-from camcal.stereo.disparity import Confidence, Disparity
-from camcal.stereo.geometry import StereoGeometry
+from camcal.stereo.disparity import Confidence, Disparity, StereoGeometry
 from camcal.stereo.options import RectifiedViewOptions
 from camcal.stereo.points.cloud import CloudMaker
 from camcal.stereo.points.frames import COLOUR, POSITION, StereoImage

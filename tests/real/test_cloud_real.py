@@ -7,7 +7,7 @@ import pytest
 
 from camcal.formats import disparity, pair_calibration
 from camcal.images.files import load
-from camcal.stereo.geometry import StereoGeometry
+from camcal.stereo.disparity import StereoGeometry
 from camcal.stereo.points.cloud import CloudMaker
 from camcal.stereo.points.frames import Frame, StereoImage
 from camcal.stereo.points.selection import Selection, select

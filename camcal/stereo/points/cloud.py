@@ -18,7 +18,7 @@ from camcal.arrays import Array, BoolArray
 from camcal.errors import InvalidInput
 from camcal.raw.mosaic import full_scale
 from camcal.records import Brief
-from camcal.stereo.geometry import StereoGeometry
+from camcal.stereo.disparity import StereoGeometry
 from camcal.stereo.points.frames import (
     COLOUR,
     INTENSITY,

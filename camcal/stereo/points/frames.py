@@ -15,7 +15,7 @@ from camcal.arrays import Array, BoolArray, Float32Array, PixelArray
 from camcal.errors import InvalidInput
 from camcal.geometry.pose import CONVENTIONS, Pose, change
 from camcal.records import Brief
-from camcal.stereo.geometry import StereoGeometry
+from camcal.stereo.disparity import StereoGeometry
 from camcal.stereo.points.calibration_error import CalibrationError
 from camcal.stereo.rectify.record import LATLON
 

@@ -20,7 +20,7 @@ from camcal.progress import SILENT, Progress, require_all
 from camcal.run.fanout import fan_out
 from camcal.run.outputs import claim, owned, writes
 from camcal.simulate.stereo_scene import PairOptions, StereoTruth, render_pair
-from camcal.stereo.geometry import StereoGeometry, of_pair
+from camcal.stereo.disparity import StereoGeometry, of_pair
 from camcal.tasks.simulation import simulate
 from camcal.tasks.simulation.options import PairsOptions, SimulateOptions
 

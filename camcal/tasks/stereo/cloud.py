@@ -21,8 +21,7 @@ from camcal.records import OMITTED, entry
 from camcal.run.fanout import fan_out
 from camcal.run.paths import IMAGE_SUFFIXES, find_pairs, split_address
 from camcal.run.process import over_threads
-from camcal.stereo.disparity import Confidence
-from camcal.stereo.geometry import StereoGeometry
+from camcal.stereo.disparity import Confidence, StereoGeometry
 from camcal.stereo.points.cloud import CloudMaker, require_thinning, thinned
 from camcal.stereo.points.frames import CAMERA, OPTICAL, UNITS, Frame, StereoImage, VertexStream, frame_named
 from camcal.stereo.points.selection import RADIUS, Selected, Selection, depth_figures, select

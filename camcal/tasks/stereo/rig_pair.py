@@ -34,8 +34,7 @@ from camcal.progress import SILENT, Progress
 from camcal.raw.tiles import one_by_one
 from camcal.run.paths import split_address
 from camcal.run.process import over_threads
-from camcal.stereo.disparity import Confidence, Disparity, too_few
-from camcal.stereo.geometry import of_rectification, why_not_rectified
+from camcal.stereo.disparity import Confidence, Disparity, of_rectification, too_few, why_not_rectified
 from camcal.stereo.matching.learned import learned_disparity
 from camcal.stereo.matching.match import match_prepared, within
 from camcal.stereo.matching.preparation import Masks, prepare

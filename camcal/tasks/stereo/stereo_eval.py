@@ -24,7 +24,7 @@ from camcal.report.stereo_pictures import error_picture
 from camcal.run.fanout import fan_out, only_outcome
 from camcal.run.outputs import claim, writes
 from camcal.run.paths import paired, place, require_there
-from camcal.stereo.geometry import StereoGeometry
+from camcal.stereo.disparity import StereoGeometry
 from camcal.stereo.truth import (
     AT_LEAST,
     FIGURES,

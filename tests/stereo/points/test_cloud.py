@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from camcal.errors import InvalidInput
 from camcal.geometry.pose import Pose
-from camcal.stereo.geometry import StereoGeometry
+from camcal.stereo.disparity import StereoGeometry
 from camcal.stereo.points.calibration_error import CalibrationError
 from camcal.stereo.points.cloud import CloudMaker, thinned
 from camcal.stereo.points.frames import Frame, StereoImage

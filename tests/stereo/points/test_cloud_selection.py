@@ -5,8 +5,7 @@ import pytest
 
 from camcal.errors import InvalidInput
 from camcal.run.process import over_threads
-from camcal.stereo.disparity import Confidence
-from camcal.stereo.geometry import StereoGeometry
+from camcal.stereo.disparity import Confidence, StereoGeometry
 from camcal.stereo.points.frames import Frame, StereoImage, frame_named
 from camcal.stereo.points.selection import Selection, select
 

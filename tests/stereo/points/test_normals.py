@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from camcal.stereo.geometry import StereoGeometry
+from camcal.stereo.disparity import StereoGeometry
 from camcal.stereo.points.cloud import normals
 from camcal.stereo.points.frames import StereoImage
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from camcal.errors import InvalidInput
-from camcal.stereo.geometry import StereoGeometry
+from camcal.stereo.disparity import StereoGeometry
 from camcal.stereo.points.cloud import normals
 from camcal.stereo.points.frames import BackProjection, Frame, StereoImage
 from camcal.stereo.rectify.record import AXES, CYLINDRICAL, LATLON, PINHOLE, PROJECTIONS
