@@ -37,8 +37,9 @@ from camcal.report.figures.trajectories import path_of, trajectory_plots
 from camcal.run.outputs import writes
 from camcal.run.paths import find_files
 from camcal.tasks.curves.fit_report import written
-from camcal.tasks.figure_files import FIT, SENSOR, fit_file_plots, require, sensor_file_plots, write_figures
+from camcal.tasks.figure_files import write_figures
 from camcal.tasks.options import FIGURES, FigureOptions, PlotOptions
+from camcal.tasks.plot_documents import FIT, SENSOR, fit_file_plots, require, sensor_file_plots
 from camcal.tasks.rigs.inspect_rig import inspect_rig
 
 KINDS = (

@@ -25,7 +25,8 @@ from camcal.solve.descent import Iteration
 from camcal.solve.differentiate import JacobianCheck, check_jacobian
 from camcal.tasks.curves.fit_report import FitReport, document, trace_csv, written
 from camcal.tasks.curves.options import TABLE, FitOptions
-from camcal.tasks.figure_files import FIT, write_figures
+from camcal.tasks.figure_files import write_figures
+from camcal.tasks.plot_documents import FIT
 
 
 @dataclass(frozen=True, eq=False)

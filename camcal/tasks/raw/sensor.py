@@ -33,7 +33,8 @@ from camcal.report.table import value_and_std
 from camcal.run.fanout import fan_out
 from camcal.run.outputs import writes
 from camcal.run.paths import find_images
-from camcal.tasks.figure_files import SENSOR, figure_data, write_figures
+from camcal.tasks.figure_files import figure_data, write_figures
+from camcal.tasks.plot_documents import SENSOR
 from camcal.tasks.raw.demosaic import read_frame
 from camcal.tasks.raw.options import RawInput, SensorOptions
 
