@@ -26,7 +26,7 @@ from camcal.calibrate.refusals import (
     require_views,
     usable_views,
 )
-from camcal.calibrate.several_cameras import TwoCameras, two_cameras
+from camcal.calibrate.several_cameras import SMOOTH, TwoCameras, two_cameras
 from camcal.calibrate.shape import surface_of
 from camcal.calibrate.view_records import RejectedCorner, View, rejected_corners, view_records
 from camcal.cameras.catalogue import MODELS
@@ -131,9 +131,10 @@ class CandidateModel(Brief):
 
 @dataclass(frozen=True, eq=False)
 class FittedModel(CandidateModel):
-    """A lens model with the brief fit of its calibration, for a calibration that goes on from it."""
+    """A lens model with its brief fit, for a calibration that goes on from it, and with why that would be refused."""
 
     fit: CalibrationFit | None = None
+    refusal: InsufficientData | None = None
 
     def without_fit(self) -> CandidateModel:
         """Return the model alone: a fit holds all that was estimated."""
@@ -211,9 +212,12 @@ def compare_models(
     options: Options,
     models: Sequence[CameraModel],
     start: CalibrationFit | None = None,
+    *,
+    by_lens: bool = False,
 ) -> tuple[CandidateModel, ...]:
     """Return how well lens models predict views, in their order, each with a brief calibration, which takes errors
-    within views for noise; options.model does not matter. start: the brief fit of another model to go on from.
+    within views for noise; options.model does not matter. start: the brief fit of another model to go on from. by_lens:
+    whether views may be of two cameras even where a wrong lens model is as likely.
 
     Raises InsufficientData for too few views.
     """
@@ -233,17 +237,32 @@ def compare_models(
             candidate = FittedModel(name, scores, corners, sigma)
             solved = Solved(fit, tuple(detections), tuple(reasons), size, None)
             try:
-                _require_plausible(fit, solved.images, own, len(detections))
+                if start is None and not result:  # one answer does for all lens models
+                    solved = replace(solved, cameras=_two_cameras_briefly(fit, solved.images, size, own, by_lens))
+                _require_plausible(fit, solved.images, own, len(detections), solved.cameras)
                 found = record(solved, _pose_covariances(fit), BetweenViews())
                 result.append(replace(candidate, calibration=found, fit=fit))
                 plausible = plausible or fit
             except InsufficientData as error:
-                result.append(replace(candidate, failures=tuple(message.code for message in error.failures)))
+                codes = tuple(message.code for message in error.failures)
+                result.append(replace(candidate, failures=codes, fit=fit, refusal=error))
         except (SingularError, np.linalg.LinAlgError):
             result.append(CandidateModel(name, reason="some parameters are not determined by the views"))
         except (InsufficientData, InvalidInput) as error:
             result.append(CandidateModel(name, reason=error.message))
     return tuple(result)
+
+
+def _two_cameras_briefly(
+    fit: CalibrationFit, images: Sequence[str], size: tuple[int, int], options: Options, by_lens: bool
+) -> TwoCameras | None:
+    """Return the groups that views fall into by their names, or, where they do not fit one lens, by their lenses, which
+    takes long; by_lens: even if residuals vary as those of a wrong lens model do.
+    """
+    found = _misfit(fit, options)
+    wrong = found.share > options.max_rejected or found.median_px > found.median_limit_px
+    asked = wrong and found.roughness <= ROUGH and not found.outside and (by_lens or found.smoothness <= SMOOTH)
+    return two_cameras(fit.plain, images, size, options.shape, options.named_groups, by_lens=asked)
 
 
 def _fit_briefly(

@@ -68,6 +68,13 @@ class Misfit:
         return float(self.gross.sum()) / int(self.present.sum())
 
     @property
+    def outside(self) -> bool:
+        """Whether ids are consistent and wrong corners are far from the centre, as those are that a lens model does not
+        reach.
+        """
+        return self.roughness <= ROUGH and self.outwards > _OUTWARDS
+
+    @property
     def medians(self) -> Array:
         """The median (V,) of the distances in every view."""
         return row_medians(self.distances, self.present)
@@ -142,7 +149,7 @@ def require_fit(
     if np.isfinite(found.median_px):
         how += f", the median by {px_words(found.median_px)} (limit {px_words(found.median_limit_px)})"
     order = "corner ids are consistent"
-    if found.roughness <= ROUGH and found.outwards > _OUTWARDS:
+    if found.outside:
         text = (
             f"{how}: {order} and the wrong ones are far from the image centre, so the lens model ({model}) does not fit"
         )
