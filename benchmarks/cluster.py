@@ -18,7 +18,7 @@ from camcal.formats import native
 from camcal.formats.camera_file import CameraEntry, CameraFile
 from camcal.images.files import save
 from camcal.progress import Silent
-from camcal.run.settings import BatchOptions
+from camcal.run.options import BatchOptions
 from camcal.tasks.calibration.undistort import undistort
 from camcal.tasks.calibration.undistort_options import UndistortOptions
 

@@ -26,7 +26,7 @@ from camcal.calibrate.refusals import (
     require_views,
     usable_views,
 )
-from camcal.calibrate.several_cameras import SMOOTH, TwoCameras, two_cameras
+from camcal.calibrate.several_cameras import TwoCameras, two_cameras
 from camcal.calibrate.shape import surface_of
 from camcal.calibrate.view_records import RejectedCorner, View, rejected_corners, view_records
 from camcal.cameras.catalogue import MODELS
@@ -224,45 +224,33 @@ def compare_models(
     size, reasons = usable_views(detections, board)
     usable = [view for view, reason in zip(detections, reasons, strict=True) if reason is None]
     observations = Observations.of(usable)
-    corners = int(observations.present.sum())
     result: list[CandidateModel] = []
     plausible = start
     for own in (replace(options, model=model) for model in models):
-        name = own.model.name
         try:
             brief, turns = _fit_briefly(observations, board, size, own, plausible)
             left_out = influence(brief)
             scores, sigma = predict_views(brief, left_out)
             fit = averaged_fit((brief,), WithinViews(1.0), turns, size, [left_out])
-            candidate = FittedModel(name, scores, corners, sigma)
+            candidate = FittedModel(own.model.name, scores, int(observations.present.sum()), sigma, fit=fit)
             solved = Solved(fit, tuple(detections), tuple(reasons), size, None)
             try:
                 if start is None and not result:  # one answer does for all lens models
-                    solved = replace(solved, cameras=_two_cameras_briefly(fit, solved.images, size, own, by_lens))
+                    mixed = _misfit(fit, own).may_be_mixed(own.max_rejected, by_lens)
+                    groups = two_cameras(brief, solved.images, size, own.shape, own.named_groups, by_lens=mixed)
+                    solved = replace(solved, cameras=groups)
                 _require_plausible(fit, solved.images, own, len(detections), solved.cameras)
                 found = record(solved, _pose_covariances(fit), BetweenViews())
-                result.append(replace(candidate, calibration=found, fit=fit))
+                result.append(replace(candidate, calibration=found))
                 plausible = plausible or fit
             except InsufficientData as error:
                 codes = tuple(message.code for message in error.failures)
-                result.append(replace(candidate, failures=codes, fit=fit, refusal=error))
+                result.append(replace(candidate, failures=codes, refusal=error))
         except (SingularError, np.linalg.LinAlgError):
-            result.append(CandidateModel(name, reason="some parameters are not determined by the views"))
+            result.append(CandidateModel(own.model.name, reason="some parameters are not determined by the views"))
         except (InsufficientData, InvalidInput) as error:
-            result.append(CandidateModel(name, reason=error.message))
+            result.append(CandidateModel(own.model.name, reason=error.message))
     return tuple(result)
-
-
-def _two_cameras_briefly(
-    fit: CalibrationFit, images: Sequence[str], size: tuple[int, int], options: Options, by_lens: bool
-) -> TwoCameras | None:
-    """Return the groups that views fall into by their names, or, where they do not fit one lens, by their lenses, which
-    takes long; by_lens: even if residuals vary as those of a wrong lens model do.
-    """
-    found = _misfit(fit, options)
-    wrong = found.share > options.max_rejected or found.median_px > found.median_limit_px
-    asked = wrong and found.roughness <= ROUGH and not found.outside and (by_lens or found.smoothness <= SMOOTH)
-    return two_cameras(fit.plain, images, size, options.shape, options.named_groups, by_lens=asked)
 
 
 def _fit_briefly(
@@ -388,9 +376,7 @@ def _pose_covariances(result: CalibrationFit) -> Array:
 
 
 def _held_by_prior(problem: BoardProblem, stds: Array) -> tuple[str, ...]:
-    """Return the names of the lens parameters that their priors hold; stds: (S,) of the shared parameters, as solved
-    for.
-    """
+    """Return the names of lens parameters that their priors hold; stds: (S,) of the shared parameters as solved for."""
     if problem.lens_spread is None:
         return ()
     held = stds[: len(problem.free)] > _HELD_BY_PRIOR * problem.lens_spread[problem.free]

@@ -22,7 +22,7 @@ from camcal.cli.call import Call, TextParameters
 from camcal.errors import InvalidInput
 from camcal.files import STANDARD
 from camcal.options import GENERAL, Argument, Declared, assembled, by_group, declared
-from camcal.run.settings import located
+from camcal.run.options import located
 
 SETTINGS = "camcal.settings"  # where a context keeps the line of the settings file that each value came from
 WRITE_SETTINGS = "--write-config"
@@ -182,8 +182,8 @@ class _Maker:
 
     def start(self, values: Mapping[Declared, Any], config: Path | None) -> None:
         """Call the function with the records that these values make, after reading `config`."""
+        from camcal.run.options import outputs_of
         from camcal.run.outputs import watch_files
-        from camcal.run.settings import outputs_of
 
         record = self.records[0]
         call = self.call(values)
@@ -202,8 +202,9 @@ class _Maker:
 
     def write(self, values: Mapping[Declared, Any], path: Path) -> None:
         """Write these values as a settings file, over none of the inputs that they name."""
+        from camcal.run.options import inputs_of
         from camcal.run.outputs import watch_files
-        from camcal.run.settings import inputs_of, write_settings
+        from camcal.run.settings import write_settings
 
         inputs = [named for each, value in values.items() for named in inputs_of(each, value)]
         with watch_files(read=inputs) as run:

@@ -26,9 +26,9 @@ from camcal.messages import Message
 from camcal.progress import Item, Outcome, Progress, Value
 from camcal.run import fingerprint
 from camcal.run.cluster_worker import RunTerms, answers
+from camcal.run.options import LOCAL, BatchOptions
 from camcal.run.outputs import Run
 from camcal.run.process import BLAS_THREADS, available_cores, worker_environment
-from camcal.run.settings import LOCAL, BatchOptions
 from camcal.run.workers import item_name
 from camcal.system import TEMPORARY
 

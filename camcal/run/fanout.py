@@ -15,8 +15,8 @@ from camcal import system
 from camcal.errors import InvalidInput
 from camcal.messages import Message
 from camcal.progress import SILENT, Item, Outcome, Progress, Value
+from camcal.run.options import DEFAULT_BATCH, BatchOptions
 from camcal.run.process import available_cores, one_opencv_thread, startable
-from camcal.run.settings import DEFAULT_BATCH, BatchOptions
 from camcal.run.workers import WorkerPool, attempt
 
 _THREAD_WINDOW = 2  # items submitted per thread: one at work, one waiting; more only holds memory

@@ -24,9 +24,9 @@ from camcal.progress import SILENT, Item, Outcome, Progress, Value, values_of
 from camcal.run import fingerprint
 from camcal.run.fanout import fan_out
 from camcal.run.fingerprint import Entry
+from camcal.run.options import DEFAULT_BATCH, BatchOptions, counts, inputs_of, outputs_of
 from camcal.run.outputs import Run, listed
 from camcal.run.resume import Items, MadeItem, Recording, Store, remembering
-from camcal.run.settings import DEFAULT_BATCH, BatchOptions, counts, inputs_of, outputs_of
 
 _JOURNAL: ContextVar["Journal | None"] = ContextVar("journal", default=None)
 

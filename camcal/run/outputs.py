@@ -27,7 +27,7 @@ from camcal.options import Declared, declared
 from camcal.parsing import in_one_line
 from camcal.run import fingerprint
 from camcal.run.fingerprint import MANIFEST, Entry
-from camcal.run.settings import inputs_of, is_folder, outputs_of, refuse_one_place, require_folder
+from camcal.run.options import inputs_of, is_folder, outputs_of, refuse_one_place, require_folder
 from camcal.system import KNOWN, OutputFolders, require_writable
 
 _HEAD = 4096  # bytes in which a text says who wrote it

@@ -23,8 +23,8 @@ from camcal.progress import SILENT, Item, Outcome, Progress, Value
 from camcal.run import fingerprint
 from camcal.run.fanout import fan_out, only_outcome
 from camcal.run.fingerprint import Entry
+from camcal.run.options import DEFAULT_BATCH, BatchOptions
 from camcal.run.outputs import Run, completed
-from camcal.run.settings import DEFAULT_BATCH, BatchOptions
 
 CHECKING = "comparing with the last run"
 

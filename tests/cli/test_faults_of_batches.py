@@ -21,8 +21,8 @@ import pytest
 from camcal.images.files import save
 from camcal.progress import SILENT, Silent
 from camcal.run import cluster
+from camcal.run.options import BatchOptions
 from camcal.run.outputs import listed
-from camcal.run.settings import BatchOptions
 from camcal.tasks.calibration.undistort import undistort
 from camcal.tasks.calibration.undistort_options import UndistortOptions
 from camcal.tasks.options import GivenCamera

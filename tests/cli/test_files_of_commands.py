@@ -18,7 +18,7 @@ from camcal.formats import disparity, disparity_sidecar
 from camcal.formats.disparity_sidecar import Sidecar
 from camcal.images.files import save
 from camcal.options import GENERAL, OUTPUT, PATH
-from camcal.run.settings import inputs_of
+from camcal.run.options import inputs_of
 from camcal.stereo.disparity import StereoGeometry
 
 MINE = b"mine\n"

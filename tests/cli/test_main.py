@@ -29,7 +29,7 @@ from camcal.errors import (
 )
 from camcal.messages import Message
 from camcal.options import Argument, Option, OptionsRecord
-from camcal.run.settings import BatchOptions
+from camcal.run.options import BatchOptions
 from camcal.tasks.options import Jobs
 
 ERRORS = {

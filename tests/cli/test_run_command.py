@@ -14,7 +14,7 @@ from camcal import urls
 from camcal.cli.call import ImageCall
 from camcal.cli.pipeline import StepCommands
 from camcal.options import declared
-from camcal.run.settings import counts
+from camcal.run.options import counts
 from camcal.tasks.pipelines.reading import KEYS, OF_ALL_STEPS, STEP_KEYS
 from camcal.tasks.pipelines.step import NOT_STEPS
 

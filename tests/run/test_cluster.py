@@ -19,7 +19,7 @@ from camcal.run import cluster
 from camcal.run.cluster_worker import RunTerms, SharedFolders, answers
 from camcal.run.fanout import fan_out
 from camcal.run.fingerprint import versions
-from camcal.run.settings import BatchOptions
+from camcal.run.options import BatchOptions
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # the cluster serves tests of commands too
 

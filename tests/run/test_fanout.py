@@ -23,8 +23,8 @@ from camcal.errors import FileError, InvalidInput, ItemsFailed
 from camcal.messages import Message
 from camcal.progress import Outcome
 from camcal.run.fanout import fan_out
+from camcal.run.options import BatchOptions
 from camcal.run.process import available_cores, over_threads
-from camcal.run.settings import BatchOptions
 
 WAYS = [
     pytest.param({"jobs": 1}, id="inline"),

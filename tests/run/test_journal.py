@@ -8,8 +8,8 @@ import pytest
 from camcal.errors import FileError, InvalidInput
 from camcal.run import fingerprint
 from camcal.run.journal import journal_beside, journaled, path_beside, resume_hint
+from camcal.run.options import DEFAULT_BATCH, BatchOptions
 from camcal.run.resume import Items
-from camcal.run.settings import DEFAULT_BATCH, BatchOptions
 from camcal.targets.board import Board
 from camcal.targets.detection import BoardDetection
 

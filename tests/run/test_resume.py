@@ -11,9 +11,9 @@ from camcal.errors import InvalidInput
 from camcal.images.files import save
 from camcal.run import fingerprint
 from camcal.run.fingerprint import MANIFEST
+from camcal.run.options import BatchOptions
 from camcal.run.outputs import claim, watch_files
 from camcal.run.resume import Items, resumable
-from camcal.run.settings import BatchOptions
 from camcal.tasks.calibration.undistort import UndistortOptions, undistort
 from camcal.tasks.options import GivenCamera
 

@@ -11,7 +11,7 @@ from camcal import urls
 from camcal.cli.pipeline import StepCommands, perform
 from camcal.errors import FileError
 from camcal.progress import SILENT
-from camcal.run.settings import BatchOptions
+from camcal.run.options import BatchOptions
 from camcal.tasks.pipelines.run_pipeline import DONE, FAILED, NOT_RUN, run_pipeline
 from camcal.tasks.pipelines.step import PipelineOptions, StepResult
 

@@ -17,8 +17,8 @@ from camcal.raw.options import ImageReadOptions
 from camcal.raw.reading import read_detection_image
 from camcal.run.fanout import fan_out
 from camcal.run.journal import journaled
+from camcal.run.options import BatchOptions
 from camcal.run.resume import Items
-from camcal.run.settings import BatchOptions
 from camcal.targets.board import APRILGRID, ASYMMETRIC_CIRCLES, CHARUCO, CHESSBOARD, CIRCLES, Board
 from camcal.targets.checker.charuco import arrangement_votes, arrangements
 from camcal.targets.corners.measure import measure

@@ -18,7 +18,7 @@ from camcal.options import given_words
 from camcal.progress import Progress, warn_of
 from camcal.raw.options import AS_IMAGES, ImageReadOptions
 from camcal.raw.reading import read_detection_image
-from camcal.run.settings import DEFAULT_BATCH, BatchOptions
+from camcal.run.options import DEFAULT_BATCH, BatchOptions
 from camcal.targets.board import Board
 from camcal.targets.detection import BoardDetection, Detections
 from camcal.tasks.calibration.board_search import SAMPLE, Material, gray_of

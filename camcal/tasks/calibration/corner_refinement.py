@@ -19,7 +19,7 @@ from camcal.progress import Progress
 from camcal.raw.options import ImageReadOptions
 from camcal.raw.reading import read_detection_image
 from camcal.run.fanout import fan_out
-from camcal.run.settings import BatchOptions
+from camcal.run.options import BatchOptions
 from camcal.targets.board import Board
 from camcal.targets.corners.measure import Expected, measure, remeasure, seen_cells, signs
 from camcal.targets.detection import NEAR, BoardDetection, MaskedImage, size_relation

@@ -17,8 +17,8 @@ from camcal.images.remap import Maps
 from camcal.images.video import frames
 from camcal.progress import Outcome, Progress
 from camcal.run import fingerprint
+from camcal.run.options import BatchOptions
 from camcal.run.resume import Items, resumable
-from camcal.run.settings import BatchOptions
 
 
 @dataclass(frozen=True)

@@ -114,7 +114,9 @@ def select(
     calibration.
     """
     with stage(progress, "choosing the lens model"):
-        candidates = _candidates(views, board, options, circle)
+        found = _look_briefly(views, board, [replace(options, model=model_named(name)) for name in _FIRST], circle)
+        *_, last = found
+        candidates = compared(views, board, options, circle, _fit_of(last), found) if _lens_matters(last) else found
     if candidates[-1].calibration is not None and _TWO_CAMERAS in candidates[-1].failures:
         return Selection(candidates[-1].calibration, assess(candidates[-1].calibration, circle))
     order = rank_models(candidates, DEFAULT_MODEL)
@@ -137,26 +139,18 @@ def select(
             continue
         named = tuple(each.without_fit() if isinstance(each, FittedModel) else each for each in candidates)
         with stage(progress, "checking"):
-            found = Selection(calibration, assess(calibration, circle, _without(refused, order)), named)
-        if taken is None or found.assessment.trustworthy:
-            taken = _with_reason(found, order[0].name, failure if taken is None else None)
-        if found.assessment.trustworthy:
+            made = Selection(calibration, assess(calibration, circle, _without(refused, order)), named)
+        if taken is None or made.assessment.trustworthy:
+            taken = _with_reason(made, order[0].name, failure if taken is None else None)
+        if made.assessment.trustworthy:
             return taken
-        refused[own.name] = tuple(message.code for message in found.assessment.failures)
+        refused[own.name] = tuple(message.code for message in made.assessment.failures)
         if not _OF_THE_LENS.intersection(refused[own.name]):
             break
     if taken is None:
         failure = failure or NotConverged("no lens model converged")
         raise _with_remedy(failure, order[0].name, _without(refused, order)) from failure
     return replace(taken, assessment=assess(taken.calibration, circle, _without(refused, order)))
-
-
-def _candidates(
-    views: Sequence[BoardDetection], board: Board, options: intrinsics.Options, circle: ImageCircle | None
-) -> tuple[CandidateModel, ...]:
-    """Return what `compared` does, or only the first ones where comparing does not help. Raises as `_look_briefly`."""
-    found = _look_briefly(views, board, [replace(options, model=model_named(name)) for name in _FIRST], circle)
-    return compared(views, board, options, circle, _fit_of(found[-1]), found) if _lens_matters(found[-1]) else found
 
 
 def _look_briefly(

@@ -20,7 +20,7 @@ from camcal.options import (
     Without,
 )
 from camcal.raw.options import AS_IMAGES, ImageReadOptions
-from camcal.run.settings import DEFAULT_BATCH, BatchOptions
+from camcal.run.options import DEFAULT_BATCH, BatchOptions
 from camcal.tasks.options import (
     BOARD_OPTION,
     CAMERA_FILE,

@@ -8,7 +8,7 @@ from camcal.errors import InvalidInput
 from camcal.files import STANDARD
 from camcal.images.options import JPEG_QUALITY, ViewOptions
 from camcal.options import INPUT, NUMBERS, OUTPUT, Argument, Option, OptionsRecord, Without, Written
-from camcal.run.settings import DEFAULT_BATCH, BatchOptions
+from camcal.run.options import DEFAULT_BATCH, BatchOptions
 from camcal.tasks.options import (
     CameraName,
     GivenCamera,

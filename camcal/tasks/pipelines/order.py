@@ -12,8 +12,8 @@ from camcal import system
 from camcal.errors import FileError
 from camcal.formats.documents import Fault
 from camcal.options import INPUT, PATH, Argument, Declared
+from camcal.run.options import inputs_of, is_folder
 from camcal.run.paths import IMAGE_SUFFIXES, VIDEO_SUFFIXES, require_there
-from camcal.run.settings import inputs_of, is_folder
 from camcal.tasks.pipelines.reading import Pipeline
 from camcal.tasks.pipelines.step import Step, families, place_of
 

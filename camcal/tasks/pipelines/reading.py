@@ -18,7 +18,8 @@ from camcal.formats import documents
 from camcal.formats.documents import Document, Fault, child
 from camcal.options import Declared, declared
 from camcal.parsing import did_you_mean, in_one_line
-from camcal.run.settings import is_folder, is_note, located, read_settings, typed, wrong_settings
+from camcal.run.options import is_folder, located
+from camcal.run.settings import is_note, read_settings, typed, wrong_settings
 from camcal.tasks.pipelines.step import NOT_STEPS, Step
 
 Commands = Mapping[str, type]

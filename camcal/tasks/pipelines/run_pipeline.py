@@ -14,9 +14,9 @@ from camcal.messages import Message, counted
 from camcal.parsing import did_you_mean
 from camcal.progress import SILENT, Outcome, Progress
 from camcal.run.fanout import fan_out
+from camcal.run.options import is_folder
 from camcal.run.outputs import Run, watch_files
 from camcal.run.process import available_cores
-from camcal.run.settings import is_folder
 from camcal.tasks.pipelines.order import Order, missing_inputs, ordered
 from camcal.tasks.pipelines.reading import Commands, read_pipeline
 from camcal.tasks.pipelines.state import State, files_of

@@ -22,7 +22,7 @@ from camcal.options import (
     assembled,
     declared,
 )
-from camcal.run.settings import BatchOptions, counts, inputs_of, outputs_of
+from camcal.run.options import BatchOptions, counts, inputs_of, outputs_of
 from camcal.tasks.options import Jobs, Overwrite
 
 STEPS = "Steps"

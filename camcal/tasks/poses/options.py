@@ -22,7 +22,7 @@ from camcal.options import (
     separated,
 )
 from camcal.parsing import parse_number
-from camcal.run.settings import DEFAULT_BATCH, BatchOptions
+from camcal.run.options import DEFAULT_BATCH, BatchOptions
 from camcal.tasks.options import (
     PICTURES,
     POSES,

@@ -21,9 +21,9 @@ from camcal.raw.reading import read_detection_image
 from camcal.run import fingerprint
 from camcal.run.fanout import fan_out
 from camcal.run.journal import journaled
+from camcal.run.options import DEFAULT_BATCH, BatchOptions
 from camcal.run.paths import find_media
 from camcal.run.resume import Items
-from camcal.run.settings import DEFAULT_BATCH, BatchOptions
 from camcal.targets.board import CHARUCO, Board
 from camcal.targets.checker.charuco import arrangements
 from camcal.targets.detect import detect, require_findable

@@ -20,7 +20,7 @@ from camcal.options import (
     separated,
 )
 from camcal.raw.options import NO_LAYOUT, Development, GivenLayout
-from camcal.run.settings import DEFAULT_BATCH, BatchOptions
+from camcal.run.options import DEFAULT_BATCH, BatchOptions
 from camcal.tasks.options import (
     CAMERA_FILE,
     FIGURES,

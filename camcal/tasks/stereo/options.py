@@ -8,7 +8,7 @@ from typing import Annotated
 
 from camcal.errors import InvalidInput
 from camcal.options import CHECKS, INPUT, OUTPUT, SIZE, Argument, Option, OptionsRecord, ValueType, Without, Written
-from camcal.run.settings import DEFAULT_BATCH, BatchOptions
+from camcal.run.options import DEFAULT_BATCH, BatchOptions
 from camcal.stereo.options import MatchOptions
 from camcal.tasks.options import (
     NO_FIGURES,

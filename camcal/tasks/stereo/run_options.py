@@ -7,7 +7,7 @@ from typing import Annotated
 from camcal.errors import InvalidInput
 from camcal.images.options import JPEG_QUALITY
 from camcal.options import INPUT, NUMBERS, OUTPUT, PERCENT, Argument, Option, OptionsRecord, Without, Written
-from camcal.run.settings import DEFAULT_BATCH, BatchOptions
+from camcal.run.options import DEFAULT_BATCH, BatchOptions
 from camcal.stereo.options import MatchOptions, RectifiedViewOptions
 from camcal.tasks.options import (
     CAMERA_SUFFIXES,
