@@ -41,7 +41,7 @@ LINES = {
     "solve": 1699,
     "stereo": 5149,
     "system": 271,
-    "targets": 7043,
+    "targets": 7071,
     "tasks": 22405,
     "urls": 99,
 }
