@@ -191,10 +191,14 @@ def outcome(given: Set) -> Outcome:
 
 
 def cost(given: Set, first: Outcome, seed: int) -> float:
-    """Return the time of an outcome over that of a calibration from as many good views, with the model or without."""
+    """Return the time of an outcome over that of a calibration from as many good views, with the model that is given if
+    that suits the lens.
+    """
     count = max(len({view.image for view in given.views}), 3)
     good = Set(tuple(shots(given.camera, count, seed + 2000)), given.camera)
-    return first.seconds / outcome(good).seconds
+    usual = outcome(good)
+    likewise = outcome(replace(good, model=given.model)) if given.model else usual
+    return first.seconds / (likewise if likewise.trusted else usual).seconds
 
 
 def _kind(message: str) -> str:

@@ -10,6 +10,8 @@ held-out: the corners of one half as predicted by lens and board of the other. T
     where distances count up to 6 times the lowest of the programs' medians; a corner that a lens cannot take counts as
     such a distance. '/best' is the ratio to the program with the lowest RMS of those with the fewest failures, '/ref'
     that to base or, without it, camcal; on the splits that both have.
+true: with --simulated, RMS distance of the map of a half's lens from that of the lens that the corners were made with.
+    Halves that agree may be wrong alike: lenses of a board taken as drawn are, where it is bent.
 failed: splits of which a half was not calibrated. s: median seconds of one calibration by the clock, with the start of
     a process for mrcal and lensboy.
 Sets whose halves have fewer than 8 views have a table of their own.
@@ -21,11 +23,14 @@ estimated shape of the board is part of what a half predicts. A board that looks
 otherwise from view to view; all programs have the numbers of one calibration of the whole set (by base if it is given,
 else by camcal).
 
+--simulated: the corners are those of a scene that repeats the set. Lens, board and poses are camcal's of the whole set;
+the errors of a view are those that the set shows there, with either sign at random.
+
 Corners come from FOLDER/SET.csv, spaces in the set's name as underscores; tables that are missing are made from the
 images.
 
     CAMCAL_TEST_DATA=FOLDER python benchmarks/split_halves.py [--detections FOLDER] [--splits 10] [--sets NAME …]
-        [--base FOLDER] [--mrcal /usr/bin/python3] [--lensboy PYTHON] [--programs NAME …] [--jobs 2]
+        [--base FOLDER] [--mrcal /usr/bin/python3] [--lensboy PYTHON] [--programs NAME …] [--simulated] [--jobs 2]
 """
 
 import argparse
@@ -100,6 +105,7 @@ class Work:
     splits: int
     base: Path | None = None
     interpreters: dict[str, str] = field(default_factory=dict)
+    simulated: bool = False
 
     @property
     def reference(self) -> str:
@@ -128,6 +134,7 @@ class Split:
 
     failure: str = ""
     observed: float = np.nan
+    true: float = np.nan
     predicted: float = np.nan
     distances: np.ndarray = field(default_factory=lambda: np.zeros(0))
     held_out: float = np.nan
@@ -155,6 +162,7 @@ class Figures:
     splits: int
     failed: int
     map: float
+    true: float
     predicted: float
     ratio: float
     median: float
@@ -177,6 +185,7 @@ def main() -> None:
     parser.add_argument("--base", type=Path, help="folder that has another version of the package camcal")
     parser.add_argument("--mrcal", help="interpreter that has mrcal")
     parser.add_argument("--lensboy", help="interpreter that has lensboy")
+    parser.add_argument("--simulated", action="store_true", help="corners of a scene that repeats the set")
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--worker", action="store_true", help=argparse.SUPPRESS)
     arguments = parser.parse_args()
@@ -191,7 +200,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as scratch:
         base = arguments.base and arguments.base.resolve()
         folder = arguments.detections or Path(scratch)
-        work = Work(folder, programs, arguments.splits, base, interpreters)
+        work = Work(folder, programs, arguments.splits, base, interpreters, arguments.simulated)
         print(f"OpenCV {cv2.__version__}, numpy {np.__version__}; {arguments.splits} splits of each set")
         print(f"programs: {', '.join(programs)}; numbers of the views and '/ref': {work.reference}", flush=True)
         run_sets(work, arguments.sets, arguments.jobs)
@@ -255,8 +264,14 @@ def run(work: Work, name: str) -> Outcome:
     views = numbered(board, views, reference.symmetries)
     solvers = dict(solvers_of(work, board, model, float(reference.lens[0])))
     judge = Judge.of(model, reference.lens, views)
+    scene = Scene.of(board, model, views) if work.simulated else None
+    if scene is not None:
+        judge = replace(judge, truth=scene.lens)
+        views = scene.views
     splits: dict[str, list[Split]] = {program: [] for program in solvers}
-    for halves in divisions(views, work.splits):
+    rng = np.random.default_rng(1)
+    for first, second in divisions(views, work.splits):
+        halves = (first, second) if scene is None else (scene.measured(first, rng), scene.measured(second, rng))
         found = {program: judged(judge, halves, solver) for program, solver in solvers.items()}
         for program, split in clipped(found).items():
             splits[program].append(split)
@@ -267,6 +282,40 @@ def numbered(board: Board, views: Sequence[BoardDetection], symmetries: Sequence
     """Return the views with the ids that a calibration of all of them gave to their corners."""
     turns = board.symmetries()
     return [replace(view, ids=turns[turn][view.ids]) for view, turn in zip(views, symmetries, strict=True)]
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """A set as camcal sees it: its lens (K,), views with the corners where lens and board put them, errors by image."""
+
+    lens: np.ndarray
+    views: list[BoardDetection]
+    errors: dict[str, np.ndarray]
+
+    @classmethod
+    def of(cls, board: Board, model: CameraModel, views: Sequence[BoardDetection]) -> "Scene":
+        """Return the scene of the views that one calibration of all of them uses."""
+        result = calibrate(views, board, Options(model, max_rejected=1.0))
+        points = result.surface.points()
+        exact, errors = [], {}
+        for view, record in zip(views, result.views, strict=True):
+            if not record.used:
+                continue
+            ids = board.symmetries()[record.symmetry][view.ids]
+            pixels = result.camera.project(record.camera_T_board.apply(points[ids])).pixels
+            off = view.pixels - pixels
+            sound = np.linalg.norm(off, axis=1) < CLIP * result.rms_px
+            exact.append(replace(view, ids=ids, pixels=pixels))
+            errors[view.image] = np.where(sound[:, None], off, 0.0)
+        return cls(result.camera.parameters, exact, errors)
+
+    def measured(self, views: Sequence[BoardDetection], rng: np.random.Generator) -> list[BoardDetection]:
+        """Return views whose errors have the sizes and shapes of the set's and either sign."""
+        signs = rng.choice([-1.0, 1.0], len(views))
+        return [
+            replace(view, pixels=view.pixels + sign * self.errors[view.image])
+            for view, sign in zip(views, signs, strict=True)
+        ]
 
 
 def divisions(
@@ -421,11 +470,15 @@ def peer(
 
 @dataclass(frozen=True, eq=False)
 class Judge:
-    """A lens model, pixels (N, 2) on which lenses are compared, and how the map there depends on the lens (2M, K)."""
+    """A lens model, pixels (N, 2) on which lenses are compared, and how the map there depends on the lens (2M, K).
+
+    truth: the lens of the scene, None where nobody knows it.
+    """
 
     model: CameraModel
     pixels: np.ndarray
     slopes: np.ndarray
+    truth: np.ndarray | None = None
 
     @classmethod
     def of(cls, model: CameraModel, lens: np.ndarray, views: Sequence[BoardDetection]) -> "Judge":
@@ -507,7 +560,10 @@ def judged(judge: Judge, halves: tuple[list[BoardDetection], list[BoardDetection
         for estimate, views in zip((second, first), halves, strict=True)
     ]
     observed = judge.observed(first.lens, second.lens)
-    return Split("", observed, predicted, np.concatenate(distances), seconds=seconds)
+    true = np.nan
+    if judge.truth is not None:
+        true = float(np.mean([judge.observed(judge.truth, estimate.lens) for estimate in (first, second)]))
+    return Split("", observed, true, predicted, np.concatenate(distances), seconds=seconds)
 
 
 def clipped(splits: dict[str, Split]) -> dict[str, Split]:
@@ -651,7 +707,7 @@ def print_group(words: str, outcomes: Sequence[Outcome], work: Work) -> None:
     print(f"\nhalves of {words}; '/ref': ratio to {work.reference}")
     print(
         f"{'set':17} {'model':15} {'views':>5} {'program':8} {'splits':>6} {'failed':>6}  {'map':>7} {'/ref':>6} "
-        f"{'predicted':>9} {'ratio':>6} {'median':>6}  {'held-out':>8} {'/best':>6} {'/ref':>6} {'s':>6}"
+        f"{'true':>6} {'predicted':>9} {'ratio':>6} {'median':>6}  {'held-out':>8} {'/best':>6} {'/ref':>6} {'s':>6}"
     )
     rows: dict[str, list[Figures]] = {}
     for outcome in outcomes:
@@ -697,6 +753,7 @@ def figures_of(outcome: Outcome, reference: str) -> dict[str, Figures]:
             len(splits),
             sum(bool(split.failure) for split in splits),
             root_mean(maps[name]),
+            root_mean(np.array([split.true for split in splits])),
             root_mean(predicted),
             ratio(maps[name], predicted),
             median_of(np.sqrt(maps[name] / predicted)),
@@ -721,7 +778,7 @@ def print_failures(outcomes: Sequence[Outcome]) -> None:
 def words_of(row: Figures) -> str:
     return (
         f"{row.splits:6d} {row.failed:6d}  {number(row.map, 7, 3)} {number(row.map_to_reference, 6, 2)} "
-        f"{number(row.predicted, 9, 3)} {number(row.ratio, 6, 2)} {number(row.median, 6, 2)}  "
+        f"{number(row.true, 6, 3)} {number(row.predicted, 9, 3)} {number(row.ratio, 6, 2)} {number(row.median, 6, 2)}  "
         f"{number(row.held_out, 8, 4)} {number(row.to_best, 6, 3)} {number(row.to_reference, 6, 3)} "
         f"{number(row.seconds, 6, 2)}"
     )

@@ -131,9 +131,10 @@ class CandidateModel(Brief):
 
 @dataclass(frozen=True, eq=False)
 class FittedModel(CandidateModel):
-    """A lens model with the brief fit of its calibration, for a calibration that goes on from it."""
+    """A lens model with its brief fit, for a calibration that goes on from it, and with why that would be refused."""
 
     fit: CalibrationFit | None = None
+    refusal: InsufficientData | None = None
 
     def without_fit(self) -> CandidateModel:
         """Return the model alone: a fit holds all that was estimated."""
@@ -211,38 +212,44 @@ def compare_models(
     options: Options,
     models: Sequence[CameraModel],
     start: CalibrationFit | None = None,
+    *,
+    by_lens: bool = False,
 ) -> tuple[CandidateModel, ...]:
     """Return how well lens models predict views, in their order, each with a brief calibration, which takes errors
-    within views for noise; options.model does not matter. start: the brief fit of another model to go on from.
+    within views for noise; options.model does not matter. start: the brief fit of another model to go on from. by_lens:
+    whether views may be of two cameras even where a wrong lens model is as likely.
 
     Raises InsufficientData for too few views.
     """
     size, reasons = usable_views(detections, board)
     usable = [view for view, reason in zip(detections, reasons, strict=True) if reason is None]
     observations = Observations.of(usable)
-    corners = int(observations.present.sum())
     result: list[CandidateModel] = []
     plausible = start
     for own in (replace(options, model=model) for model in models):
-        name = own.model.name
         try:
             brief, turns = _fit_briefly(observations, board, size, own, plausible)
             left_out = influence(brief)
             scores, sigma = predict_views(brief, left_out)
             fit = averaged_fit((brief,), WithinViews(1.0), turns, size, [left_out])
-            candidate = FittedModel(name, scores, corners, sigma)
+            candidate = FittedModel(own.model.name, scores, int(observations.present.sum()), sigma, fit=fit)
             solved = Solved(fit, tuple(detections), tuple(reasons), size, None)
             try:
-                _require_plausible(fit, solved.images, own, len(detections))
+                if start is None and not result:  # one answer does for all lens models
+                    mixed = _misfit(fit, own).may_be_mixed(own.max_rejected, by_lens)
+                    groups = two_cameras(brief, solved.images, size, own.shape, own.named_groups, by_lens=mixed)
+                    solved = replace(solved, cameras=groups)
+                _require_plausible(fit, solved.images, own, len(detections), solved.cameras)
                 found = record(solved, _pose_covariances(fit), BetweenViews())
-                result.append(replace(candidate, calibration=found, fit=fit))
+                result.append(replace(candidate, calibration=found))
                 plausible = plausible or fit
             except InsufficientData as error:
-                result.append(replace(candidate, failures=tuple(message.code for message in error.failures)))
+                codes = tuple(message.code for message in error.failures)
+                result.append(replace(candidate, failures=codes, refusal=error))
         except (SingularError, np.linalg.LinAlgError):
-            result.append(CandidateModel(name, reason="some parameters are not determined by the views"))
+            result.append(CandidateModel(own.model.name, reason="some parameters are not determined by the views"))
         except (InsufficientData, InvalidInput) as error:
-            result.append(CandidateModel(name, reason=error.message))
+            result.append(CandidateModel(own.model.name, reason=error.message))
     return tuple(result)
 
 
@@ -369,9 +376,7 @@ def _pose_covariances(result: CalibrationFit) -> Array:
 
 
 def _held_by_prior(problem: BoardProblem, stds: Array) -> tuple[str, ...]:
-    """Return the names of the lens parameters that their priors hold; stds: (S,) of the shared parameters, as solved
-    for.
-    """
+    """Return the names of lens parameters that their priors hold; stds: (S,) of the shared parameters as solved for."""
     if problem.lens_spread is None:
         return ()
     held = stds[: len(problem.free)] > _HELD_BY_PRIOR * problem.lens_spread[problem.free]

@@ -67,6 +67,24 @@ class Misfit:
         """The share of the corners that are wrong."""
         return float(self.gross.sum()) / int(self.present.sum())
 
+    def fits(self, most: float) -> bool:
+        """Whether no more than a share `most` of the corners are wrong, and the typical one is not."""
+        return self.share <= most and self.median_px <= self.median_limit_px
+
+    def may_be_mixed(self, most: float, by_lens: bool) -> bool:
+        """Whether two cameras are a likely reason why views do not fit one lens; by_lens: even where residuals vary as
+        smoothly as those of a wrong lens model.
+        """
+        smooth = self.smoothness > SMOOTH and not by_lens
+        return not self.fits(most) and self.roughness <= ROUGH and not self.outside and not smooth
+
+    @property
+    def outside(self) -> bool:
+        """Whether ids are consistent and wrong corners are far from the centre, as those are that a lens model does not
+        reach.
+        """
+        return self.roughness <= ROUGH and self.outwards > _OUTWARDS
+
     @property
     def medians(self) -> Array:
         """The median (V,) of the distances in every view."""
@@ -93,7 +111,7 @@ def misfit(problem: BoardProblem, state: State, residuals: Array, most: float = 
     areas = np.where(present, np.abs(np.linalg.det(axes)), np.nan)
     distances = np.where(np.isfinite(residuals).all(axis=0), np.hypot(*residuals), np.inf)
     found = Misfit(distances, np.sqrt(np.nanmedian(areas, axis=1)), present)
-    if found.share > most or found.median_px > found.median_limit_px:
+    if not found.fits(most):
         smooth = smoothness(problem, state, present.astype(float))
         centre = state.parameters[[problem.model.parameter_names.index(name) for name in ("cx", "cy")]]
         radii = np.hypot(*(problem.observations.pixels[:, present].T - centre).T)
@@ -133,7 +151,7 @@ def require_fit(
     the names of the views. cameras: the groups that they may fall into.
     """
     gross, total, share = found.gross, int(found.present.sum()), found.share
-    if share <= most and found.median_px <= found.median_limit_px:
+    if found.fits(most):
         return
     how = (
         f"{int(gross.sum())} of {total} corners ({100 * share:.0f} %, limit {100 * most:g} %) are off by more than "
@@ -142,7 +160,7 @@ def require_fit(
     if np.isfinite(found.median_px):
         how += f", the median by {px_words(found.median_px)} (limit {px_words(found.median_limit_px)})"
     order = "corner ids are consistent"
-    if found.roughness <= ROUGH and found.outwards > _OUTWARDS:
+    if found.outside:
         text = (
             f"{how}: {order} and the wrong ones are far from the image centre, so the lens model ({model}) does not fit"
         )

@@ -87,11 +87,14 @@ def two_cameras(
     image_size: tuple[int, int],
     shape: ShapeOptions,
     named: Sequence[frozenset[str]] = (),
+    *,
+    by_lens: bool = True,
 ) -> TwoCameras | None:
     """Return the two groups that views fall into, None where nothing supports them; its significance is `ratio`.
 
     plain: an estimate of all views. images: (V,) names of the views.
-    named: groups of images by their names, each of which may be another camera's.
+    named: groups of images by their names, each of which may be another camera's. by_lens: whether to look for groups
+    that are distinguished by their lenses alone.
     """
     if not len(plain.problem.free) or len(images) < 2 * LEAST_VIEWS:
         return None
@@ -103,12 +106,12 @@ def two_cameras(
         found = _suspected(fewer, state.take(some), [images[index] for index in some.tolist()], named)
         if all(group is None for group in found):
             return None
-    by_name, by_lens = _suspected(bare, state, images, named)
-    if by_name is not None and (by_lens is None or (by_name == by_lens).all()):
-        by_lens = None
+    by_name, alike = _suspected(bare, state, images, named)
+    if not by_lens or (by_name is not None and alike is not None and (by_name == alike).all()):
+        alike = None
     results = [
         _compared(plain, images, image_size, shape, group, by_name=is_named)
-        for group, is_named in ((by_name, True), (by_lens, False))
+        for group, is_named in ((by_name, True), (alike, False))
         if group is not None
     ]
     clearest = (result for result in results if result is not None)

@@ -18,7 +18,7 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.solve.losses import Loss
 
-_SUBSTITUTED = 8  # rows of a triangle that is inverted row by row
+_SMALL = 24  # rows of a triangle that is inverted as a whole
 
 
 class SingularError(Exception):
@@ -235,21 +235,18 @@ def lowest_along(promised: float, share: float, change: float) -> float:
 
 
 def lower_inverse(root: Array) -> Array:
-    """Return the inverses of many lower triangles (G, g, g), by halves: products of matrices, as substitution row by
-    row is one small step after the other.
+    """Return the inverses of many lower triangles (G, g, g), by halves until these are small.
+
+    Rows count by their diagonal, as parameters have different units.
     """
     size = root.shape[-1]
-    result = np.zeros(root.shape)
-    if size > _SUBSTITUTED:
-        half = size // 2
-        result[:, :half, :half] = first = lower_inverse(root[:, :half, :half])
-        result[:, half:, half:] = last = lower_inverse(root[:, half:, half:])
-        result[:, half:, :half] = -last @ (root[:, half:, :half] @ first)
-        return result
-    for row in range(size):
-        result[:, row, row] = 1.0
-        result[:, row] -= (root[:, row, None, :row] @ result[:, :row])[:, 0]
-        result[:, row] /= root[:, row, row, None]
+    if size <= _SMALL:
+        scale = np.einsum("gii->gi", root)
+        return np.asarray(np.tril(np.linalg.inv(root / scale[:, :, None])) / scale[:, None, :])
+    result, half = np.zeros(root.shape), size // 2
+    result[:, :half, :half] = first = lower_inverse(root[:, :half, :half])
+    result[:, half:, half:] = last = lower_inverse(root[:, half:, half:])
+    result[:, half:, :half] = -last @ (root[:, half:, :half] @ first)
     return result
 
 

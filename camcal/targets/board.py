@@ -12,7 +12,7 @@ terms are the ones a camera's scale and skew could be mistaken for.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -126,7 +126,7 @@ class Board(Brief):
         """The distance of neighbouring corners, tags or circles (rows of asymmetric ones) in `unit`."""
         return 1.0 if self.square is None else self.square
 
-    @property
+    @cached_property
     def extent(self) -> tuple[float, float]:
         """Width and height of the points' bounding box, which begins at the origin, in `unit`."""
         width, height = self._flat().max(axis=0).tolist()

@@ -547,9 +547,9 @@ def test_views_that_no_lens_model_fits_are_calibrated_once_and_compared_with_no_
     briefly, full = [], []
     compare, solve_fully = model_selection.compare_models, model_selection.intrinsics.calibrate
 
-    def compare_and_note(views, board, options, models, start=None):
+    def compare_and_note(views, board, options, models, start=None, **how):
         briefly.extend(model.name for model in models)
-        return compare(views, board, options, models, start)
+        return compare(views, board, options, models, start, **how)
 
     def calibrate_and_note(views, board, options, start=None):
         full.append(options.model.name)
@@ -567,9 +567,9 @@ def test_views_that_two_lens_models_find_parallel_are_compared_with_no_third(mon
     flat = [replace(view, pixels=views[0].pixels + 3.0 * index, ids=views[0].ids) for index, view in enumerate(views)]
     names, compare = [], model_selection.compare_models
 
-    def compare_and_note(views, board, options, models, start=None):
+    def compare_and_note(views, board, options, models, start=None, **how):
         names.extend(model.name for model in models)
-        return compare(views, board, options, models, start)
+        return compare(views, board, options, models, start, **how)
 
     monkeypatch.setattr(model_selection, "compare_models", compare_and_note)
     with pytest.raises(InsufficientData, match="nearly parallel views"):

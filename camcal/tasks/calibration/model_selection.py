@@ -19,6 +19,7 @@ from camcal.targets.detection import BoardDetection
 
 # the simplest first: by the number of their parameters
 CANDIDATES = ("pinhole", "opencv4", "kannala_brandt4", "opencv5", "kannala_brandt5t", "opencv8")
+_FIRST = (WIDE_MODEL, DEFAULT_MODEL)  # those that are looked at first
 _CONTAINED = ("pinhole", "opencv4")  # DEFAULT_MODEL with coefficients at zero
 # Refusals and failures that another lens model may remedy; a lens that does not fit may have an infinite focal length.
 _OF_VIEWS = {
@@ -33,6 +34,10 @@ _OF_THE_LENS = {
     "not_invertible",
     "known_region",
 }
+# What neither another lens model nor further passes remedy: a brief fit is enough to refuse views for it, or, for the
+# last, to say what is wrong with a calibration from them.
+_FINAL = {"board_does_not_fit", "views_of_two_cameras"}
+_TWO_CAMERAS = "several_cameras_by_name"
 _TRIES = 2  # calibrations at most, where the first is not to be trusted
 _FAILURES = (InvalidInput, InsufficientData, NotConverged)
 
@@ -109,7 +114,11 @@ def select(
     calibration.
     """
     with stage(progress, "choosing the lens model"):
-        candidates = _compare_if_it_helps(views, board, options, circle)
+        found = _look_briefly(views, board, [replace(options, model=model_named(name)) for name in _FIRST], circle)
+        *_, last = found
+        candidates = compared(views, board, options, circle, _fit_of(last), found) if _lens_matters(last) else found
+    if candidates[-1].calibration is not None and _TWO_CAMERAS in candidates[-1].failures:
+        return Selection(candidates[-1].calibration, assess(candidates[-1].calibration, circle))
     order = rank_models(candidates, DEFAULT_MODEL)
     failure: CamcalError | None = None
     taken: Selection | None = None
@@ -122,19 +131,20 @@ def select(
         try:
             how = replace(options, model=model_named(own.name))
             with stage(progress, "solving"):
-                calibration = intrinsics.calibrate(views, board, how, _fit_of(own))
+                start = own.fit if isinstance(own, FittedModel) else None
+                calibration = intrinsics.calibrate(views, board, how, start)
         except _FAILURES as error:
             failure = failure or error
             refused[own.name] = tuple(message.code for message in error.failures) or ("not_converged",)
             continue
         named = tuple(each.without_fit() if isinstance(each, FittedModel) else each for each in candidates)
         with stage(progress, "checking"):
-            found = Selection(calibration, assess(calibration, circle, _without(refused, order)), named)
-        if taken is None or found.assessment.trustworthy:
-            taken = _with_reason(found, order[0].name, failure if taken is None else None)
-        if found.assessment.trustworthy:
+            made = Selection(calibration, assess(calibration, circle, _without(refused, order)), named)
+        if taken is None or made.assessment.trustworthy:
+            taken = _with_reason(made, order[0].name, failure if taken is None else None)
+        if made.assessment.trustworthy:
             return taken
-        refused[own.name] = tuple(message.code for message in found.assessment.failures)
+        refused[own.name] = tuple(message.code for message in made.assessment.failures)
         if not _OF_THE_LENS.intersection(refused[own.name]):
             break
     if taken is None:
@@ -143,23 +153,31 @@ def select(
     return replace(taken, assessment=assess(taken.calibration, circle, _without(refused, order)))
 
 
-def _compare_if_it_helps(
-    views: Sequence[BoardDetection], board: Board, options: intrinsics.Options, circle: ImageCircle | None
+def _look_briefly(
+    views: Sequence[BoardDetection], board: Board, ways: Sequence[intrinsics.Options], circle: ImageCircle | None
 ) -> tuple[CandidateModel, ...]:
-    """Return what `compared` does, or the first of the candidates where views are refused for what no lens remedies, or
-    two of them for what a third one does not.
+    """Return brief calibrations, in turn until one is not refused, or refused for what no lens model remedies. Raises
+    InsufficientData for what further passes do not remedy either: of views, if two lens models have it.
     """
     found: tuple[CandidateModel, ...] = ()
-    for name in (WIDE_MODEL, DEFAULT_MODEL):
-        found += compare_models(views, board, options, [model_named(name)])
-        own = found[-1]
-        if own.failures and own.calibration is None and not _OF_THE_LENS.intersection(own.failures):
-            return found
-        if own.calibration is not None:
+    for options in ways:
+        found += compare_models(views, board, options, [options.model], by_lens=bool(found))
+        refusal = found[-1].refusal if isinstance(found[-1], FittedModel) else None
+        if refusal is not None and _FINAL.intersection(found[-1].failures):
+            raise refusal
+        if found[-1].calibration is not None or not _lens_matters(found[-1]):
             break
-    if all(_OF_VIEWS.intersection(each.failures) for each in found):
-        return found
-    return compared(views, board, options, circle, _fit_of(own), found)
+        if refusal is not None and len(found) > 1 and all(_OF_VIEWS.intersection(each.failures) for each in found):
+            raise refusal
+    *others, own = found
+    mixed = own.calibration is not None and own.calibration.two_cameras is not None
+    return (*others, *judge([own], circle)) if mixed else found
+
+
+def _lens_matters(own: CandidateModel) -> bool:
+    """Return whether other lens models are worth a look: not where one is refused for what none of them remedies."""
+    alone = own.calibration is not None or not own.failures or bool(_OF_THE_LENS.intersection(own.failures))
+    return alone and _TWO_CAMERAS not in own.failures
 
 
 def _without(refused: Mapping[str, tuple[str, ...]], order: Sequence[CandidateModel]) -> list[CandidateModel]:
@@ -180,23 +198,30 @@ def solve_given(
     """
     free = replace(options, fixed=(), guess=None)
     with stage(progress, "solving briefly"):
-        [own] = compare_models(views, board, options, [options.model])
-    start = _fit_of(own)
+        other = DEFAULT_MODEL if options.model.name == WIDE_MODEL else WIDE_MODEL
+        own, *others = _look_briefly(views, board, [options, replace(free, model=model_named(other))], circle)
+    if own.calibration is not None and _TWO_CAMERAS in own.failures:
+        return Selection(own.calibration, assess(own.calibration, circle))
     # what is held is known better than other models know it
-    beside: list[CandidateModel] = [] if options.fixed else [own]
+    beside: list[CandidateModel] = others if options.fixed else [own, *others]
 
     @cache
     def rank_all() -> list[CandidateModel]:
         wide = next((_fit_of(each) for each in beside if each.name == WIDE_MODEL), None)
         every = compared(views, board, free, circle, wide, beside)
-        return rank_models([each for each in every if beside or each.name != own.name], DEFAULT_MODEL)
+        return rank_models([each for each in every if own in beside or each.name != own.name], DEFAULT_MODEL)
 
-    if own.calibration is None and _OF_THE_LENS.intersection(own.failures):
-        error = InsufficientData(str(own.reason), failures=[Message(code, "", {}) for code in own.failures])
-        if passing_model(own.name, others := rank_all()):
-            raise _with_remedy(error, own.name, others)
+    refusal = own.refusal if isinstance(own, FittedModel) else None
+    if refusal is not None and _is_of_the_lens(refusal):
+        # further passes close nothing that is open for a lens model, nor do models with more parameters than the usual
+        final, ranked = _OF_VIEWS.intersection(own.failures), rank_beside(own, views, board, free, circle, others)
+        if not final and not passing_model(own.name, ranked):
+            ranked = rank_all()
+        if final or passing_model(own.name, ranked):
+            raise _with_remedy(refusal, own.name, ranked)
     try:
         with stage(progress, "solving"):
+            start = own.fit if isinstance(own, FittedModel) else None
             calibration = intrinsics.calibrate(views, board, options, start)
     except (InsufficientData, NotConverged) as error:
         raise _with_remedy(error, own.name, rank_all() if _is_of_the_lens(error) else ()) from error
@@ -214,16 +239,18 @@ def rank_beside(
     board: Board,
     options: intrinsics.Options,
     circle: ImageCircle | None = None,
+    known: Sequence[CandidateModel] = (),
 ) -> list[CandidateModel]:
-    """Return a candidate and the usual models, which it is compared with, in their order."""
-    usual = [model_named(name) for name in (DEFAULT_MODEL, WIDE_MODEL) if name != own.name]
-    others = compare_models(views, board, options, usual, _fit_of(own))
-    return rank_models([own, *judge(others, circle)], DEFAULT_MODEL)
+    """Return a candidate and the usual models, which it is compared with, in their order; known: some of the latter."""
+    done = {each.name for each in (own, *known)}
+    usual = [model_named(name) for name in _FIRST if name not in done]
+    others = compare_models(views, board, options, usual, next(filter(None, map(_fit_of, (own, *known))), None))
+    return rank_models([own, *judge([*known, *others], circle)], DEFAULT_MODEL)
 
 
 def _fit_of(own: CandidateModel) -> CalibrationFit | None:
-    """Return the brief fit of a candidate to go on from, None without one."""
-    return own.fit if isinstance(own, FittedModel) else None
+    """Return the brief fit of a candidate that other models may go on from, None where it is refused."""
+    return own.fit if isinstance(own, FittedModel) and own.calibration is not None else None
 
 
 def compared(
