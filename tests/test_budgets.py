@@ -41,7 +41,7 @@ LINES = {
     "solve": 1696,
     "stereo": 5149,
     "system": 271,
-    "targets": 7043,
+    "targets": 7071,
     "tasks": 22432,
     "urls": 99,
 }
