@@ -32,10 +32,9 @@ from peers.cloud_peers import measured
 from camcal.formats import disparity, pointclouds
 from camcal.images.files import load
 from camcal.run.process import over_threads
-from camcal.stereo.geometry import StereoGeometry
+from camcal.stereo.disparity import StereoGeometry
 from camcal.stereo.points.cloud import CloudMaker, normals, one_per_voxel
-from camcal.stereo.points.depth import StereoImage, row_blocks
-from camcal.stereo.points.frames import Frame
+from camcal.stereo.points.frames import Frame, StereoImage, row_blocks
 from camcal.stereo.points.selection import Selection, has_neighbours, select
 from camcal.tasks.stereo.cloud import in_order_on_threads
 

@@ -2,7 +2,7 @@
 
 Scenes are rendered, half as `camcal simulate --stereo` makes them by default and half of other sizes, lenses, light and
 noise; folders add real pairs, in the layouts that benchmarks/stereo.py reads. The 68 % quantile of the logarithm of the
-errors is regressed on the evidence of camcal/stereo/matching/uncertainty.py, by class; the tables printed are those
+errors is regressed on the evidence of camcal/stereo/matching/match.py, by class; the tables printed are those
 that stand there. Every second scene is fitted, the others are for the shares. Last, of the real pairs: the share of the
 errors within the sigma that camcal reports, without the median error of a pair; in brackets, with the rounding of the
 truth added to sigma.

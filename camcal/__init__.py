@@ -25,7 +25,7 @@ def __getattr__(name: str) -> object:
     if name == "__all__":
         return list(_homes())
     if name.startswith("_") or name not in _homes():
-        from camcal.brief import missing
+        from camcal.records import missing
 
         raise missing("module 'camcal'", name, list(_homes()))
     module, attribute = _homes()[name]

@@ -75,13 +75,13 @@ from camcal.raw.options import Development as Development
 from camcal.raw.reading import read_mosaic as read_mosaic
 from camcal.stereo.disparity import Confidence as Confidence
 from camcal.stereo.disparity import Disparity as Disparity
-from camcal.stereo.geometry import StereoGeometry as StereoGeometry
-from camcal.stereo.geometry import of_pair as stereo_geometry
+from camcal.stereo.disparity import StereoGeometry as StereoGeometry
+from camcal.stereo.disparity import of_pair as stereo_geometry
 from camcal.stereo.matching.match import match as match_pair
 from camcal.stereo.options import MatchOptions as MatchOptions
+from camcal.stereo.options import RectifiedViewOptions as RectifiedViewOptions
 from camcal.stereo.points.cloud import CloudMaker as CloudMaker
-from camcal.stereo.points.depth import StereoImage as StereoImage
-from camcal.stereo.rectify.options import RectifiedViewOptions as RectifiedViewOptions
+from camcal.stereo.points.frames import StereoImage as StereoImage
 from camcal.stereo.rectify.plan import PairMaps as PairMaps
 from camcal.stereo.rectify.plan import build_pair_maps as build_pair_maps
 from camcal.stereo.rectify.plan import plan_rectification as plan_rectification

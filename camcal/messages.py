@@ -8,8 +8,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from camcal.brief import Brief
 from camcal.parsing import in_one_line
+from camcal.records import Brief
 
 Value = float | int | str | tuple[str, ...]
 

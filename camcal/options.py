@@ -14,9 +14,9 @@ from math import isfinite, isnan, pi
 from pathlib import Path
 from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
 
-from camcal.brief import Brief
 from camcal.errors import InvalidInput
 from camcal.parsing import did_you_mean, parse_integer, parse_number, parse_numbers
+from camcal.records import Brief
 
 INPUT, BOARD, LENS, RAW_FRAMES = "Input", "Board", "Lens", "Raw frames"
 METHOD, CHECKS, OUTPUT, GENERAL = "Method", "Checks", "Output", "General"

@@ -4,7 +4,7 @@ import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Generic, Protocol, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 
 from camcal.errors import CamcalError, ItemsFailed
 from camcal.messages import Message
@@ -120,6 +120,16 @@ class Outcome(Generic[Item, Value]):
 def reused(outcomes: Iterable[Outcome[Item, Value]]) -> int:
     """Return how many items of a fan-out an earlier run made."""
     return sum(outcome.reused for outcome in outcomes)
+
+
+def failed_items(outcomes: Iterable[Outcome[Any, Any]], *names: str) -> list[dict[str, Any]]:
+    """Return the items of a fan-out that failed, or their parts, under some names, and why, as plain data."""
+    return [
+        dict(zip(names, outcome.item if isinstance(outcome.item, tuple) else [outcome.item], strict=False))
+        | {"message": str(outcome.error)}
+        for outcome in outcomes
+        if outcome.error is not None
+    ]
 
 
 def values_of(outcomes: Iterable[Outcome[Item, Value]]) -> list[Value]:

@@ -17,7 +17,8 @@ PACKAGE = Path(camcal.__file__).parent
 
 # From left to right; packages that share a place may not import each other.
 LAYERS = (
-    {"errors", "messages", "arrays", "brief", "parsing", "options", "progress", "system", "files", "opencv"} | {"urls"},
+    {"errors", "messages", "arrays", "records", "parsing", "options", "progress", "system", "files", "opencv"}
+    | {"urls"},
     {"geometry", "solve", "optics"},
     {"cameras"},
     {"images", "targets", "estimate"},
@@ -55,7 +56,6 @@ OPENCV_EDGES = {
     "stereo/matching/matchers.py",
     "stereo/matching/preparation.py",
     "stereo/matching/semi_global.py",
-    "stereo/matching/uncertainty.py",
     "stereo/pair/alignment.py",
     "stereo/pair/coarse.py",
     "stereo/points/cloud.py",

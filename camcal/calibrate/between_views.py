@@ -10,11 +10,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.brief import Brief
 from camcal.calibrate.effects import columns_at
 from camcal.calibrate.estimator import Estimate
 from camcal.calibrate.problem import POSE, Derivatives
 from camcal.calibrate.single_views import ViewOffsets, followed
+from camcal.records import Brief
 from camcal.targets.board import RATIOS, basis
 
 _VIEWS = 60  # where there are more, so many of them tell all that is asked here

@@ -20,7 +20,7 @@ from camcal.calibrate.intrinsics import Calibration
 from camcal.calibrate.noise import CUT, robust_sigma, truncation
 from camcal.cameras.lens import CameraModel
 from camcal.cameras.model import Camera
-from camcal.cameras.reprojection import linearised, residuals
+from camcal.cameras.observations import linearised, residuals
 from camcal.errors import InsufficientData, NotConverged
 from camcal.solve.least_squares import Solution, minimise
 from camcal.solve.losses import Cauchy, Loss, chi_square_beyond

@@ -18,7 +18,7 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.calibrate.problem import POSE, BoardProblem, Derivatives, State
-from camcal.cameras.reprojection import by_pose
+from camcal.cameras.observations import by_pose
 from camcal.solve.steps import Factors, NormalEquations, Step, factorise, lowest_along
 from camcal.targets.board import CLASSES, Board, basis, normalised
 

@@ -17,8 +17,7 @@ from camcal.arrays import Array
 from camcal.calibrate.noise import CUT
 from camcal.calibrate.problem import BoardProblem, State
 from camcal.cameras.lens import CameraModel
-from camcal.cameras.observations import Observations
-from camcal.cameras.planar_poses import planar_poses
+from camcal.cameras.observations import Observations, planar_poses
 from camcal.geometry import rotation as so3
 from camcal.solve.descent import Stopping
 from camcal.solve.least_squares import minimise

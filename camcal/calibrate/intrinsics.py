@@ -6,7 +6,6 @@ from dataclasses import dataclass, field, fields, replace
 import numpy as np
 
 from camcal.arrays import Array, FloatArray, readonly
-from camcal.brief import Brief
 from camcal.calibrate.between_views import BetweenViews, between_views
 from camcal.calibrate.estimator import Estimate
 from camcal.calibrate.evidence import WithinViews
@@ -35,6 +34,7 @@ from camcal.cameras.lens import CameraModel
 from camcal.cameras.model import Camera
 from camcal.cameras.observations import Observations
 from camcal.errors import InsufficientData, InvalidInput, NotConverged
+from camcal.records import Brief
 from camcal.solve.steps import SingularError
 from camcal.targets.board import Board, Surface
 from camcal.targets.detection import BoardDetection

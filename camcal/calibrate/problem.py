@@ -12,8 +12,7 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.cameras.lens import CameraModel
-from camcal.cameras.observations import Observations
-from camcal.cameras.reprojection import by_pose, linearised, residuals, rotated_points, whitened
+from camcal.cameras.observations import Observations, by_pose, linearised, residuals, rotated_points, whitened
 from camcal.geometry.pose import retract
 from camcal.solve.least_squares import assemble
 from camcal.solve.losses import Loss

@@ -7,10 +7,10 @@ from pathlib import PurePath
 import numpy as np
 
 from camcal.arrays import Array, FloatArray, readonly
-from camcal.brief import Brief
 from camcal.calibrate.fit import CalibrationFit
 from camcal.calibrate.noise import median_limit
 from camcal.geometry.pose import Pose
+from camcal.records import Brief
 from camcal.targets.detection import BoardDetection
 
 _NAMED = 5  # images in a sentence

@@ -10,10 +10,10 @@ from typing import ClassVar
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.brief import Brief
 from camcal.cameras.distortion import Distorted
 from camcal.cameras.lens import OPENCV, Parameter
 from camcal.cameras.plane_model import CORE, Flat, PlaneModel, Slopes, Values
+from camcal.records import Brief
 
 # In OpenCV's order. The typical barrel stays one-to-one at any field of view.
 COEFFICIENTS = (

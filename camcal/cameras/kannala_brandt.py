@@ -12,10 +12,10 @@ from typing import ClassVar
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.brief import Brief
 from camcal.cameras.distortion import Distorted
 from camcal.cameras.lens import FISHEYE, Parameter
 from camcal.cameras.plane_model import Flat, PlaneModel, Slopes, Values
+from camcal.records import Brief
 
 SERIES_ANGLE = 1e-4
 # θ grows by k1 θ³ and so on.

@@ -8,8 +8,8 @@ from typing import Protocol
 import numpy as np
 
 from camcal.arrays import Array, BoolArray, FloatArray, IntArray
-from camcal.brief import Brief
 from camcal.parsing import LARGEST
+from camcal.records import Brief
 
 LAST = 3
 OPENCV, FISHEYE = "cv2", "cv2.fisheye"

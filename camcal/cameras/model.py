@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from camcal.arrays import Array, FloatArray, readonly, require_shape
-from camcal.brief import Brief
 from camcal.cameras.catalogue import MODELS
 from camcal.cameras.lens import FISHEYE, OPENCV, CameraModel, Projection, ProjectionJacobians, Rays
 from camcal.errors import InvalidInput
 from camcal.geometry.pose import Pose
+from camcal.records import Brief
 
 
 @dataclass(frozen=True, eq=False)

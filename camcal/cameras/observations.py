@@ -1,4 +1,7 @@
-"""The observations of many views as one table: pixels with the camera, the body and the time of each view."""
+"""Observations of many views as one table, the poses that planar ones start from, and residuals with their derivatives.
+
+Long axes come last: V views of P points each are (…, V, P).
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -7,7 +10,76 @@ from typing import Protocol
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.cameras.reprojection import whitening_of
+from camcal.cameras.lens import CameraModel
+from camcal.geometry import rotation as so3
+
+
+@dataclass(frozen=True, eq=False)
+class Reprojection:
+    """Residuals (2, …) in pixels, projected minus observed and not whitened, with derivatives by the points in the
+    camera frame (2, 3, …) and by the lens parameters (2, K, …). valid: (…), the points that have an image; the others
+    have zeros.
+    """
+
+    residuals: Array
+    by_point: Array
+    by_lens: Array
+    valid: Array
+
+
+def residuals(model: CameraModel, parameters: Array, points: Array, pixels: Array) -> Array:
+    """Return projected minus observed pixels (2, …) of points (3, …) in the camera frame, NaN outside the lens's
+    domain.
+    """
+    projected = model.project(parameters, points.reshape(3, -1).T).pixels.T
+    return np.asarray(projected.reshape(2, *points.shape[1:]) - pixels)
+
+
+def linearised(
+    model: CameraModel, parameters: Array, points: Array, pixels: Array, *, within_domain: bool = True
+) -> Reprojection:
+    """Return the residuals of points (3, …) in the camera frame against pixels (2, …), with their derivatives; by the
+    lens's formula beyond its domain as well, unless points must be within it.
+    """
+    projected = model.project_with_jacobians(parameters, points.reshape(3, -1).T, within_domain=within_domain)
+    shape = points.shape[1:]
+    left = projected.pixels.T.reshape(2, *shape) - pixels
+    by_point = projected.d_point.transpose(1, 2, 0).reshape(2, 3, *shape)
+    by_lens = projected.d_parameters.transpose(1, 2, 0).reshape(2, -1, *shape)
+    if not projected.valid.all():
+        left, by_point, by_lens = (np.nan_to_num(values) for values in (left, by_point, by_lens))
+    return Reprojection(left, by_point, by_lens, projected.valid.reshape(shape))
+
+
+def rotated_points(rotations: Array, points: Array) -> Array:
+    """Return points (3, V, P), or (3, 1, P) for all alike, turned by rotations (V, 3, 3)."""
+    return np.ascontiguousarray((rotations @ points.transpose(1, 0, 2)).transpose(1, 0, 2))
+
+
+def by_pose(by_point: Array, rotated: Array, out: Array | None = None) -> Array:
+    """Return pixels by tx ty tz rx ry rz (2, 6, …) from d/dpoint (2, 3, …) and the rotated points R p (3, …).
+
+    a · (δr × q) = δr · (q × a), so the rotation's part is the cross product of q with each row a. out: where to write.
+    """
+    result = np.empty((2, 6, *by_point.shape[2:])) if out is None else out
+    result[:, :3] = by_point
+    for axis, (ahead, behind) in enumerate(((1, 2), (2, 0), (0, 1))):
+        np.multiply(rotated[ahead], by_point[:, behind], out=result[:, 3 + axis])
+        result[:, 3 + axis] -= rotated[behind] * by_point[:, ahead]
+    return result
+
+
+def whitening_of(covariances: Array) -> Array:
+    """Return the factors W (2, 2, V, P) with Wᵀ W the inverse of covariances (V, P, 2, 2)."""
+    factors = np.linalg.cholesky(np.linalg.inv(covariances))
+    return np.ascontiguousarray(factors.transpose(3, 2, 0, 1))
+
+
+def whitened(whitening: Array | None, values: Array) -> Array:
+    """Return values (2, …, V, P) multiplied by the whitening (2, 2, V, P), as they are without one."""
+    if whitening is None:
+        return values
+    return np.asarray(np.stack([whitening[i, 0] * values[0] + whitening[i, 1] * values[1] for i in range(2)]))
 
 
 class DetectedPoints(Protocol):
@@ -142,3 +214,46 @@ def _numbered(names: Sequence[str]) -> tuple[tuple[str, ...], Array]:
     """Return the different names, in the order in which they come first, and the place of each name among them."""
     places = {name: place for place, name in enumerate(dict.fromkeys(names))}
     return tuple(places), np.array([places[name] for name in names], np.intp)
+
+
+_HELD = 1e-12  # keeps points on a single ray, whose distance is open, from being singular
+
+
+def planar_poses(rays: Array, points: Array, mask: Array) -> tuple[Array, Array]:
+    """Return camera_T_plane, rotations (W, 3, 3) and translations (W, 3), of planes z = 0.
+
+    rays: (3, W, N) unit, through points (3, W, N) of the planes where the mask (W, N) is True; what points have of z is
+    left out. Points that spread by about 1 around the origin leave the least errors.
+    A plane's points p and their rays d obey d × (H p) = 0; the 3 × 3 matrix H of least algebraic error holds the
+    first two columns of the rotation and the translation. Works for rays behind the image plane as well.
+    Source: Hartley & Zisserman, Multiple View Geometry, 2nd ed., section 4.1, with rays in place of pixels.
+    """
+    present = mask.astype(float)
+    flat = np.stack([points[0] * present, points[1] * present, present])
+    # ‖d × v‖² = v · (I - d dᵀ) v for unit d, so the normal matrix needs only these two Gram matrices
+    plain = np.einsum("awn,bwn->wab", flat, flat)
+    mixed = (rays[:, None] * flat[None]).reshape(9, *mask.shape).transpose(1, 0, 2)
+    normal = np.einsum("ij,wab->wiajb", np.eye(3), plain).reshape(-1, 9, 9) - mixed @ mixed.transpose(0, 2, 1)
+    homographies = np.linalg.eigh(normal)[1][:, :, 0].reshape(-1, 3, 3)
+    size = np.linalg.norm(homographies[:, :, :2], axis=1).mean(axis=1)
+    first = homographies[:, :, :2] / np.maximum(size, np.finfo(float).tiny)[:, None, None]
+    turns = so3.nearest(np.concatenate([first, np.cross(first[:, :, 0], first[:, :, 1])[..., None]], axis=2))
+    # the sign of the homography is open, and with it that of the first two columns
+    other = turns * [-1, -1, 1]
+    front, behind = (_translations(rays, flat, each) for each in (turns, other))
+    placed = np.concatenate([turns[:, :, :2], front[:, :, None]], axis=2)
+    wrong = np.einsum("iwn,wij,jwn->w", rays, placed, flat) <= 0
+    return np.where(wrong[:, None, None], other, turns), np.where(wrong[:, None], behind, front)
+
+
+def _translations(rays: Array, flat: Array, rotations: Array) -> Array:
+    """Return the translations (W, 3) that bring points, turned by rotations (W, 3, 3), nearest to their rays.
+
+    flat: (3, W, N) x, y, 1 of the points, 0 for those that are not there.
+    """
+    turned = (rotations[:, :, :2] @ flat[:2].transpose(1, 0, 2)).transpose(1, 0, 2)
+    along = np.sum(rays * turned, axis=0) * rays
+    across = np.einsum("ij,wn->wij", (1 + _HELD) * np.eye(3), flat[2]) - np.einsum(
+        "iwn,jwn,wn->wij", rays, rays, flat[2]
+    )
+    return np.asarray(-np.linalg.solve(across, (turned - along).sum(axis=2).T[..., None])[..., 0])

@@ -5,6 +5,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from camcal import records
 from camcal.cli import show
 from camcal.cli.call import Call, ImageCall
 from camcal.files import STANDARD
@@ -216,11 +217,10 @@ def report(options: ReportOptions, call: Call) -> None:
     file alone it shows what the file holds. It opens in any browser without a network, prints, and has a light and a
     dark theme. Detections that no calibration can be made from get a report that says why.
     """
-    from camcal.tasks.reports.report import document
     from camcal.tasks.reports.report import report as run
 
     found = run(options, call.progress)
-    call.give(lambda: document(found), lambda: _show_report(found), found.failures)
+    call.give(lambda: records.document(found), lambda: _show_report(found), found.failures)
 
 
 def _show_report(found: "Reported") -> None:
@@ -263,10 +263,10 @@ def doctor(call: Call) -> None:
     The exit code is 7 if a check fails.
     """
     from camcal.errors import GateFailed
-    from camcal.tasks.doctor import document, examine
+    from camcal.tasks.doctor import examine
 
     found = examine()
-    call.give(lambda: document(found), lambda: _show_examination(found, call.verbose))
+    call.give(lambda: records.document(found), lambda: _show_examination(found, call.verbose))
     if found.failures:
         raise GateFailed.of(found.failures)
 

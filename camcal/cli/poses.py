@@ -8,15 +8,14 @@ from camcal.messages import counted
 from camcal.report.table import Column
 from camcal.tasks.curves.options import TABLE, FitOptions
 from camcal.tasks.poses.options import PnpOptions
-from camcal.tasks.poses.smooth_options import SmoothOptions
-from camcal.tasks.poses.track_options import TrackingOptions
+from camcal.tasks.poses.smooth_options import SmoothOptions, TrackingOptions
 
 if TYPE_CHECKING:
     from camcal.estimate.curves.curve import CurveFit, Estimate
     from camcal.estimate.curves.fit import End
     from camcal.tasks.curves.fit_report import FitReport
     from camcal.tasks.poses.pnp import PnpReport
-    from camcal.tasks.poses.smoothing import Smoothing
+    from camcal.tasks.poses.smooth import Smoothing
     from camcal.tasks.poses.track import TrackReport
 
 ESTIMATE_COLUMNS = (
@@ -134,7 +133,7 @@ def smooth(options: SmoothOptions, call: Call) -> None:
 
 def _show_smoothed(found: "Smoothing", verbose: bool) -> None:
     from camcal.estimate.smoothing.kalman import CONSISTENT
-    from camcal.tasks.poses.smoothing import consistency_lines, evaluation_rows, lines, outlier_line
+    from camcal.tasks.poses.smooth import consistency_lines, evaluation_rows, lines, outlier_line
 
     verdict, *reasons = consistency_lines(found)
     show.verdict(verdict, good=found.consistency.verdict == CONSISTENT if reasons else None)

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from camcal import records
 from camcal.cli import show
 from camcal.cli.call import Call, ImageCall
 from camcal.messages import counted
@@ -60,17 +61,17 @@ def _develop(options: DemosaicOptions, call: ImageCall) -> None:
 
 
 def _make_map(options: DemosaicOptions, call: ImageCall) -> None:
-    from camcal.tasks.raw.demosaic import make_bad_pixel_map, map_document
+    from camcal.tasks.raw.demosaic import make_bad_pixel_map
 
     found = make_bad_pixel_map(options, call.progress)
-    call.give(lambda: map_document(found), lambda: _show_map(found))
+    call.give(lambda: records.document(found), lambda: _show_map(found))
 
 
 def _preview(options: DemosaicOptions, call: ImageCall) -> None:
-    from camcal.tasks.raw.demosaic import preview_patterns, previews_document
+    from camcal.tasks.raw.demosaic import preview_patterns
 
     previews = preview_patterns(options)
-    call.give(lambda: previews_document(previews), lambda: _show_previews(previews))
+    call.give(lambda: {"previews": previews}, lambda: _show_previews(previews))
 
 
 def _show_map(found: "BadPixelMap") -> None:
@@ -137,7 +138,7 @@ def optics(options: OpticsOptions, call: Call) -> None:
     Give what is known: a camera file, or a focal length and a sensor. All figures that follow are shown, and which
     input the others need. --formats lists sensors.
     """
-    from camcal.tasks.lenses import optics_document as words
+    from camcal.tasks.lenses import optics as words
     from camcal.tasks.lenses.optics import optics as run
 
     if options.formats:
@@ -148,7 +149,7 @@ def optics(options: OpticsOptions, call: Call) -> None:
 
 
 def _show_formats() -> None:
-    from camcal.tasks.lenses import optics_document as words
+    from camcal.tasks.lenses import optics as words
 
     sides = [Column(name, "mm") for name in ("width", "height", "diagonal")]
     columns = [Column("name"), *sides, Column("the name says", "mm")]
@@ -157,7 +158,7 @@ def _show_formats() -> None:
 
 
 def _show(report: "OpticsReport") -> None:
-    from camcal.tasks.lenses import optics_document as words
+    from camcal.tasks.lenses import optics as words
 
     show.table(
         "lens and sensor", ["figure", "value", "unit", Column("from", wraps=True)], list(words.lens_rows(report))

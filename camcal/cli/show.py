@@ -14,6 +14,7 @@ from io import StringIO
 from pathlib import Path, PurePath
 from typing import Any, TextIO
 
+from camcal import records
 from camcal.cli.progress_bar import ProgressBar
 from camcal.errors import FileError, reason
 from camcal.files import STANDARD
@@ -258,7 +259,7 @@ def table(
 def document(command: str, payload: Mapping[str, Any]) -> None:
     """Print the one JSON document of a command, such as 'stereo cloud': its schema first, then the payload.
 
-    Numbers have 12 significant digits; NaN and infinities become null, arrays lists, paths text.
+    Numbers have 12 significant digits; NaN and infinities become null, records mappings, arrays lists, paths text.
     """
     schema = f"camcal/{command.replace(' ', '-')}/1"
     value(json.dumps({"schema": schema, **plain(payload)}, indent=2, allow_nan=False))
@@ -266,6 +267,8 @@ def document(command: str, payload: Mapping[str, Any]) -> None:
 
 def plain(value: Any) -> Any:
     """Return a value as JSON takes it: 12 significant digits, null for NaN, lists for arrays, texts for paths."""
+    if records.is_record(value):
+        value = records.document(value)
     if hasattr(value, "tolist"):  # numpy arrays and scalars, without importing numpy
         value = value.tolist()
     if isinstance(value, Mapping):
@@ -274,7 +277,7 @@ def plain(value: Any) -> Any:
         return [plain(item) for item in value]
     if isinstance(value, float):
         return float(f"{value:.{_SIGNIFICANT_DIGITS}g}") if math.isfinite(value) else None
-    return str(value) if isinstance(value, PurePath) else value
+    return value.as_posix() if isinstance(value, PurePath) else value
 
 
 def result(command: str, payload: Mapping[str, Any]) -> None:

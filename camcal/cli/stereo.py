@@ -4,14 +4,13 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from camcal import records
 from camcal.cli import show
 from camcal.cli.call import Call, ImageCall
 from camcal.messages import counted
 from camcal.report.table import Column
-from camcal.tasks.stereo.cloud_options import CloudOptions
 from camcal.tasks.stereo.options import DisparityOptions, EvalOptions, StereoCheckOptions, ViewOptions
-from camcal.tasks.stereo.rectify_options import RectifyOptions
-from camcal.tasks.stereo.run_options import RunOptions
+from camcal.tasks.stereo.run_options import CloudOptions, RectifyOptions, RunOptions
 
 if TYPE_CHECKING:
     from camcal.progress import Outcome
@@ -177,14 +176,13 @@ def cloud(options: CloudOptions, call: ImageCall) -> None:
     Missing options are taken from the sidecar that 'camcal stereo disparity' writes beside a map. Invalid disparities
     (zero, negative, NaN, infinite) give no points. Gray images give a colour and an intensity from 0 to 1.
     """
-    from camcal.tasks.stereo.cloud import document
     from camcal.tasks.stereo.clouds import stereo_cloud
 
     if options.disparity.is_dir():
         _make_clouds(options, call)
         return
     report = stereo_cloud(options, call.progress)
-    call.give(lambda: document(report), lambda: _show_cloud(report))
+    call.give(lambda: records.document(report), lambda: _show_cloud(report))
 
 
 def _make_clouds(options: CloudOptions, call: Call) -> None:
@@ -323,11 +321,10 @@ def view(options: ViewOptions, call: ImageCall) -> None:
     The page is one file that opens offline in any browser: drag to rotate, wheel or pinch to zoom, click two points to
     measure. Pictures and videos need no display. A map without a sidecar is drawn as a colour picture (.png).
     """
-    from camcal.tasks.stereo.view import document
     from camcal.tasks.stereo.view import view as run
 
     report = run(options, call.progress)
-    call.give(lambda: document(report), lambda: _show_view(report))
+    call.give(lambda: records.document(report), lambda: _show_view(report))
 
 
 def _show_view(report: "ViewReport") -> None:

@@ -4,15 +4,15 @@ Source: Sturm et al., A benchmark for the evaluation of RGB-D SLAM systems, 2012
 transformation parameters between two point patterns, 1991. Pairs and defaults are those of evo, so that numbers agree.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from camcal.arrays import Array, FloatArray
-from camcal.brief import Brief
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Trajectory
+from camcal.records import Brief, entry
 
 ALIGNMENTS = ("none", "se3", "sim3", "yaw")
 UNITS = ("frames", "m", "s")
@@ -75,10 +75,10 @@ class TrajectoryError:
 
     poses: int
     alignment: Similarity
-    translation: ErrorFigures
-    rotation: ErrorFigures
-    relative_translation: ErrorFigures | None
-    relative_rotation: ErrorFigures | None
+    translation: ErrorFigures = field(metadata=entry("ate_m"))
+    rotation: ErrorFigures = field(metadata=entry("ate_rad"))
+    relative_translation: ErrorFigures | None = field(metadata=entry("rpe_m"))
+    relative_rotation: ErrorFigures | None = field(metadata=entry("rpe_rad"))
     pairs: int
 
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from camcal.arrays import FloatArray, readonly
-from camcal.brief import Brief
 from camcal.cameras.model import Camera, Rig
 from camcal.cameras.validity import ImageCircle, valid_block
 from camcal.errors import InvalidInput
@@ -15,6 +14,7 @@ from camcal.geometry.frame_graph import FrameGraph
 from camcal.geometry.pose import JOINT, Derived, NamedTransform, Pose, frames_of
 from camcal.messages import Message
 from camcal.quality.projection_uncertainty import KnownRegion, ProjectionUncertainty
+from camcal.records import Brief
 from camcal.targets.board import Surface
 
 STEP = ("tx", "ty", "tz", "rx", "ry", "rz")  # of a pose, the order of its covariance

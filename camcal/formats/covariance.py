@@ -24,7 +24,7 @@ from camcal.arrays import Array
 from camcal.errors import FileError, InvalidInput
 from camcal.formats.documents import Check, Fault, child
 from camcal.formats.schema import LARGEST_VARIANCE, STD, VARIANCE, items, mapping, matrix, text
-from camcal.images.npy import arrays_of
+from camcal.images.image import arrays_of
 from camcal.parsing import did_you_mean
 
 MAX_INLINE = 100

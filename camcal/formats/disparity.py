@@ -21,7 +21,7 @@ from camcal.formats import disparity_sidecar
 from camcal.formats.disparity_sidecar import INF, INVALID_CODES, NAN, ZERO, Sidecar
 from camcal.images import exif
 from camcal.images.files import load, require_allowed, save
-from camcal.images.npy import arrays_of, read_npy, write_npy
+from camcal.images.image import arrays_of, read_npy, write_npy
 from camcal.messages import Message
 
 KITTI_SCALE = 256.0  # 16-bit disparity is in 1/256 px by the convention of the KITTI benchmark

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from camcal import files
+from camcal import files, records
 from camcal.errors import InvalidInput
 
 NumberText = Callable[[float], str]
@@ -65,7 +65,9 @@ def _with_dot(text: str) -> str:
 
 
 def rounded(value: Any) -> Any:
-    """Return plain data with its numbers at 12 significant digits."""
+    """Return data with numbers at 12 significant digits, and mappings in the place of records."""
+    if records.is_record(value):
+        value = records.document(value)
     if isinstance(value, Mapping):
         return {key: rounded(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
@@ -75,6 +77,8 @@ def rounded(value: Any) -> Any:
 
 def plain(value: Any) -> Any:
     """Return data as dicts, lists and Python scalars, keys whose value is None left out."""
+    if records.is_record(value):
+        value = records.document(value)
     if isinstance(value, Mapping):
         return {key: plain(item) for key, item in value.items() if item is not None}
     if isinstance(value, (list, tuple)):

@@ -269,7 +269,10 @@ def implausible(file: CameraFile) -> Iterator[Message]:
     for name, entry in file.cameras.items():
         path = child("cameras", name)
         yield from _principal_point(entry.camera, child(path, "intrinsics"))
-        yield from _aspect(entry.camera, child(path, "intrinsics"))
+        ratio = entry.camera.value("fx") / entry.camera.value("fy")
+        if not _ASPECT[0] <= ratio <= _ASPECT[1]:
+            text = f"fx/fy = {ratio:.3g}: check the pixel aspect ratio (anamorphic or stretched video)"
+            yield Message("unlikely_aspect", text, {"fx_over_fy": ratio}, child(path, "intrinsics"))
         if not entry.camera.model.is_view:  # a view, not a lens: it may show all around
             yield from _opening(entry, child(path, "intrinsics"))
             yield from _folding(entry, child(path, "distortion"))
@@ -288,13 +291,6 @@ def _principal_point(camera: Camera, path: str) -> Iterator[Message]:
         if abs(value - (side - 1) / 2) > _OFF_CENTRE * side:
             text = f"{name} = {value:g} for image {what} {side}: check that both are of one resolution"
             yield Message("unlikely_principal_point", text, {name: value, what: side}, child(path, name))
-
-
-def _aspect(camera: Camera, path: str) -> Iterator[Message]:
-    ratio = camera.value("fx") / camera.value("fy")
-    if not _ASPECT[0] <= ratio <= _ASPECT[1]:
-        text = f"fx/fy = {ratio:.3g}: check the pixel aspect ratio (anamorphic or stretched video)"
-        yield Message("unlikely_aspect", text, {"fx_over_fy": ratio}, path)
 
 
 def _opening(entry: CameraEntry, path: str) -> Iterator[Message]:

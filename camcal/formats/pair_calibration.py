@@ -22,7 +22,7 @@ from camcal.formats.camera_file import CameraFile, Transform
 from camcal.formats.cameras import file_storage, ros
 from camcal.geometry.pose import Pose
 from camcal.parsing import parse_numbers
-from camcal.stereo.geometry import StereoGeometry
+from camcal.stereo.disparity import StereoGeometry
 from camcal.stereo.rectify.record import OpenCVRectification, Rectification
 
 SUFFIX = ".txt"

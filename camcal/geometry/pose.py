@@ -12,9 +12,9 @@ from typing import Generic, TypeVar
 import numpy as np
 
 from camcal.arrays import Array, FloatArray, IntArray, readonly
-from camcal.brief import Brief
 from camcal.errors import InvalidInput
 from camcal.geometry import rotation as so3
+from camcal.records import Brief
 
 _IDENTITY = np.eye(3)
 JOINT = "_T_"

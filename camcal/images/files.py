@@ -22,8 +22,17 @@ from camcal.errors import FileError, InvalidInput, translated
 from camcal.files import read_bytes
 from camcal.images import exif
 from camcal.images.exif import JPEG, LONGEST_EXIF, PNG, insert_exif, read_jpeg, read_png_exif
-from camcal.images.image import CHANNELS, DTYPES, RAW_SUFFIXES, Image, Scratch, conversion_advice, foreign_suffix
-from camcal.images.npy import read_npy, write_npy
+from camcal.images.image import (
+    CHANNELS,
+    DTYPES,
+    RAW_SUFFIXES,
+    Image,
+    Scratch,
+    conversion_advice,
+    foreign_suffix,
+    read_npy,
+    write_npy,
+)
 from camcal.images.options import JPEG_QUALITY, require_pixels
 from camcal.urls import local
 

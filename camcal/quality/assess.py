@@ -13,7 +13,6 @@ from statistics import NormalDist
 import numpy as np
 
 from camcal.arrays import Array, FloatArray
-from camcal.brief import Brief
 from camcal.calibrate.intrinsics import Calibration, CandidateModel
 from camcal.calibrate.view_records import names_of
 from camcal.cameras.directions import lens_difference
@@ -29,6 +28,7 @@ from camcal.quality.projection_uncertainty import (
     with_bias,
     with_pattern,
 )
+from camcal.records import Brief
 from camcal.solve.losses import chi_square_beyond
 from camcal.targets.board_types import BOARD_TYPES
 

@@ -73,7 +73,7 @@ _ALL = (
         "several_cameras",
         True,
         1.4,
-        "ratio",
+        "",
         "the ratio of reprojection errors with one lens to those with a lens for each of two groups of views, minus a "
         "standard error",
         "24 real sets of one camera (at most 1.31), 23 mixtures of similar cameras (19 above 1.5), and simulations",
@@ -83,8 +83,9 @@ _ALL = (
         "several_cameras_by_name",
         True,
         1.2,
-        "ratio",
-        "the same with groups by file names",
+        "",
+        "the ratio of reprojection errors with one lens to those with a lens for each of two groups of file names, "
+        "minus a standard error",
         "the same sets, split by the order of their views (at most 1.07)",
         minimum_px=0.02,
     ),
@@ -178,7 +179,7 @@ _ALL = (
     ),
     Criterion("board_scale", True, 30.0, "m", "the longer side of the board is longer, or shorter than 1 mm", _RULE),
     Criterion("board_size", False, 3.0, "m", "the longer side of the board (given in mm?)", _RULE),
-    Criterion("focal_ratio", False, 0.05, "ratio", "the relative difference of fx and fy (pixels not square?)", _RULE),
+    Criterion("focal_ratio", False, 0.05, "", "the relative difference of fx and fy (pixels not square?)", _RULE),
     Criterion(
         "principal_point",
         False,

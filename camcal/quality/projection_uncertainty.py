@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from camcal.arrays import Array, BoolArray, FloatArray, readonly, require_shape
-from camcal.brief import Brief
 from camcal.cameras.directions import direction_displacements, in_hull
 from camcal.cameras.model import Camera
 from camcal.cameras.validity import ImageCircle, border_pixels
 from camcal.errors import InvalidInput
 from camcal.messages import Message
+from camcal.records import Brief
 
 GRID = (31, 23)
 _STEPS = 200  # of the way from the middle of a region to the border of the image

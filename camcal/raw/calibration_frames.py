@@ -25,7 +25,7 @@ from camcal import files
 from camcal.arrays import Array, readonly, require_shape
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.images.files import load, save
-from camcal.images.npy import read_npy, write_npy
+from camcal.images.image import read_npy, write_npy
 from camcal.raw.mosaic import cell_side, is_x_trans, phases
 from camcal.raw.names import MONO
 

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from camcal.arrays import Array, FloatArray, PixelArray, readonly
-from camcal.brief import Brief
 from camcal.errors import InvalidInput
 from camcal.raw.names import MONO, PATTERNS
+from camcal.records import Brief
 
 _X_TRANS_LETTERS = 36
 

@@ -19,7 +19,7 @@ CANDIDATE_COLUMNS = (
     Column("uncertainty over the image", "px"),
     Column("reason", wraps=True),
 )
-_LEAST_OFFSET = 1e-6  # of the board's longer side: corners that are off by less are where they were drawn
+_LEAST_OFFSET = 1e-5  # of the board's longer side: corners that are off by less are where they were drawn
 _SHOWN = 2.0  # standard deviations: less of a board's shape is not worth a line
 
 

@@ -20,7 +20,7 @@ from camcal.arrays import Array
 from camcal.report.colour_scale import turbo_table
 from camcal.report.figures.figure import free_drawn
 from camcal.report.stereo_words import headline, line_of, verdict
-from camcal.stereo.geometry import StereoGeometry
+from camcal.stereo.disparity import StereoGeometry
 from camcal.stereo.pair.alignment import Residual
 from camcal.stereo.pair.pair_check import PairCheck
 from camcal.stereo.rectify.record import LATLON, PINHOLE

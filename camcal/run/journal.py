@@ -3,7 +3,7 @@
 While it works such a command leaves a journal beside its output: a line for each image, with the fingerprint of what
 was looked at and what was found as JSON. A run that is killed, or for which images failed, leaves it behind, and the
 next one with --resume does not look at the same images again.
-When it has ended, what its result was made from is kept in the list of the folder (see `manifest`), with its other
+When it has ended, what its result was made from is kept in the list of the folder (see `fingerprint`), with its other
 files and what it printed as JSON: a run whose inputs, settings and outputs are as they were need not be repeated.
 """
 
@@ -21,9 +21,9 @@ from camcal.errors import CamcalError, FileError, reason
 from camcal.options import declared
 from camcal.parsing import in_one_line
 from camcal.progress import SILENT, Item, Outcome, Progress, Value, values_of
-from camcal.run import fingerprint, manifest
+from camcal.run import fingerprint
 from camcal.run.fanout import fan_out
-from camcal.run.manifest import Entry
+from camcal.run.fingerprint import Entry
 from camcal.run.options import DEFAULT_BATCH, BatchOptions, counts, inputs_of, outputs_of
 from camcal.run.outputs import Run, listed
 from camcal.run.resume import Items, MadeItem, Recording, Store, remembering
@@ -195,7 +195,7 @@ class Finished:
 
     def document(self) -> dict[str, Any] | None:
         """Return what the run printed as JSON, None if it has to be done."""
-        known = manifest.entries(self.output.parent).get(in_one_line(self.output.name))
+        known = fingerprint.entries(self.output.parent).get(in_one_line(self.output.name))
         if known is None or known.made_from != self.made_from:
             return None
         with suppress(KeyError, TypeError, ValueError, OSError, FileError):  # a list that was changed by hand

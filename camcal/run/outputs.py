@@ -7,7 +7,7 @@ be a file that is read, by whatever name, link or address.
 
 A file that is there already is replaced if camcal wrote it: one that the user names, if it says so itself (the comment
 or the format of a text, `camcal` in its provenance); any file, if it is listed in `.camcal-output` of its folder (see
-`manifest`) and was not changed since. Files without a mark of their own are listed there, and those whose names the
+`fingerprint`) and was not changed since. Files without a mark of their own are listed there, and those whose names the
 user did not choose.
 """
 
@@ -25,8 +25,8 @@ from camcal import files
 from camcal.errors import FileError, InvalidInput, reason
 from camcal.options import Declared, declared
 from camcal.parsing import in_one_line
-from camcal.run import manifest
-from camcal.run.manifest import MANIFEST, Entry
+from camcal.run import fingerprint
+from camcal.run.fingerprint import MANIFEST, Entry
 from camcal.run.options import inputs_of, is_folder, outputs_of, refuse_one_place, require_folder
 from camcal.system import KNOWN, OutputFolders, require_writable
 
@@ -240,7 +240,7 @@ class Run:
         """Find out which of some outputs are as camcal left them, as far as that is known."""
         known = {path: entry for path in paths if (entry := self._entry(path)) and path.is_file()}
         new = [item for item in known.items() if item[0].absolute() not in self._examined]
-        for (path, entry), is_intact in zip(new, manifest.unchanged(new), strict=True):
+        for (path, entry), is_intact in zip(new, fingerprint.unchanged(new), strict=True):
             place = path.absolute()
             self._examined.add(place)
             if is_intact:
@@ -270,7 +270,7 @@ class Run:
         if self.resume and path.is_file() and made.is_of(path):
             return False
         if place in self._unmade or self._entry(path) is not None:  # a kill is to leave no hash of the old file
-            manifest.change(path.parent, {path.name: None})
+            fingerprint.change(path.parent, {path.name: None})
         return True
 
     def wrote(self, file: os.stat_result) -> None:
@@ -294,7 +294,7 @@ class Run:
         for folder in {path.parent for path in paths}:
             self.folders.note_new(folder)
         for folder, names in folders.items():
-            manifest.change(folder, names)
+            fingerprint.change(folder, names)
             self._lists.pop(folder.absolute(), None)
 
     def _entry(self, path: Path) -> Entry | None:
@@ -306,7 +306,7 @@ class Run:
     def _list_of(self, path: Path) -> dict[str, Entry | None]:
         folder = path.absolute().parent
         if folder not in self._lists:
-            self._lists[folder] = manifest.entries(folder)
+            self._lists[folder] = fingerprint.entries(folder)
         return self._lists[folder]
 
     def close(self) -> None:
@@ -326,7 +326,7 @@ class Run:
         for folder, (added, removed) in folders.items():
             if folder.is_dir() and (added or (folder / MANIFEST).is_file()):
                 with suppress(FileError):  # a folder that became read-only; what was written is there
-                    manifest.change(folder, added, removed)
+                    fingerprint.change(folder, added, removed)
         self.folders.close()
 
     def _has_to_be_listed(self, path: Path) -> bool:
@@ -356,7 +356,7 @@ def says_camcal(path: Path) -> bool:
 
 def listed(folder: Path) -> AbstractSet[str]:
     """Return the names of the files in a folder that are listed as written by camcal."""
-    return manifest.entries(folder).keys()
+    return fingerprint.entries(folder).keys()
 
 
 def completed(path: Path, temporary: Path, *, shortened: bool) -> Entry:
@@ -364,7 +364,7 @@ def completed(path: Path, temporary: Path, *, shortened: bool) -> Entry:
 
     Raises InvalidInput if the other one, which is shorter than it was written, is not the beginning of it.
     """
-    if shortened and path.is_file() and not manifest.begins_with(temporary, path):
+    if shortened and path.is_file() and not fingerprint.begins_with(temporary, path):
         raise changed(path)
     return Entry.of(temporary)
 

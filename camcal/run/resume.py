@@ -20,9 +20,9 @@ from camcal import files
 from camcal.errors import FileError
 from camcal.files import Ledger
 from camcal.progress import SILENT, Item, Outcome, Progress, Value
-from camcal.run import fingerprint, manifest
+from camcal.run import fingerprint
 from camcal.run.fanout import fan_out, only_outcome
-from camcal.run.manifest import Entry
+from camcal.run.fingerprint import Entry
 from camcal.run.options import DEFAULT_BATCH, BatchOptions
 from camcal.run.outputs import Run, completed
 
@@ -289,7 +289,7 @@ class FolderStore(Store[Item, Value]):
             if missing:  # what does not come to be is taken off the list when the run ends
                 self.run.planned.setdefault(path.absolute(), None)
         for folder, names in folders.items():
-            manifest.append(folder, names)
+            fingerprint.append(folder, names)
 
     def record(self, item: Item, made: MadeItem[Value]) -> None:
         outputs = list(self.items.outputs(item))
@@ -303,4 +303,4 @@ class FolderStore(Store[Item, Value]):
             folders.setdefault(path.parent, {})[path.name] = entry._replace(made_from=made.made_from, result=result)
         for folder, added in folders.items():
             with suppress(FileError):  # what was written is there, and would only be made again
-                manifest.append(folder, added)
+                fingerprint.append(folder, added)

@@ -17,8 +17,8 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from camcal.arrays import Array, FloatArray, IntArray, readonly
-from camcal.brief import Brief
 from camcal.errors import InvalidInput
+from camcal.records import Brief
 from camcal.targets.board_types import (
     APRILGRID,
     ASYMMETRIC_CIRCLES,

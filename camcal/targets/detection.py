@@ -12,9 +12,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from camcal.arrays import Array, FloatArray, IntArray, readonly
-from camcal.brief import Brief
 from camcal.cameras.validity import ImageCircle
 from camcal.messages import counted
+from camcal.records import Brief
 from camcal.targets.board import Board
 
 MIN_CORNERS = 4  # as many as a homography needs

@@ -15,7 +15,7 @@ from scipy.spatial import KDTree
 from scipy.special import ndtr
 
 from camcal.arrays import Array
-from camcal.targets.checker import grid as grids
+from camcal.targets.checker import proposals as grids
 
 _LEAST_POINTS = 8  # of an outline
 _LEAST_AXIS = 1.2  # px, half the width of the flattest ellipse

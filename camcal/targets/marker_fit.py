@@ -1,11 +1,13 @@
 """Refinement of marker corners to a hundredth of a pixel, by fitting the pattern to the image.
 
 Which cells of a marker are white is known once it has been read, so that all of its edges say where it is, not its
-border alone. The image is modelled as  level + contrast · f(drawing(u, v)):  the drawing blurred by a Gaussian, the
-level a plane, the contrast a quadratic over the image, and f the tone curve, since gamma and clipping act on what is
-blurred already and make white grow:  logit g = logit t + c,  f = g + d g (1 - g) (1 - 2 g).  A parabola lacks the steep
-shadows of sRGB and enlarges tags by up to 0.5 % (benchmarks/tag_edges.py). cv2.aruco's ways are off by 0.1 to 0.5 px on
-the same markers (benchmarks/markers.py).
+border alone. The image is modelled as  level + contrast · f(t(u, v)), at most white:  the level a plane, the contrast a
+quadratic over the image, and f the tone curve, since gamma acts on what is blurred already and makes white grow:
+logit g = logit t + c,  f = g + d g (1 - g) (1 - 2 g).  A parabola lacks the steep shadows of sRGB and enlarges tags by
+up to 0.5 % (benchmarks/tag_edges.py).  t = (1 - w) drawing + w halo:  the drawing blurred by a Gaussian, and widely,
+for light that strays in lens and paper; w < 0 where a camera sharpens. Cells of both colours tell ink beyond all edges
+from the size: corners are those of the drawing as designed. cv2.aruco's ways are off by 0.1 to 0.5 px on the same
+markers (benchmarks/markers.py), by 0.3 to 2 px on photographs (benchmarks/tag_prints.py).
 
 The drawing is placed by a homography and by what a lens adds that bends straight lines:
     (x, y) = H(u, v) + Σ kᵢ Bᵢ(u, v)        u, v from -1 to 1 across the marker, x, y in pixels
@@ -154,10 +156,11 @@ def _by_edges(entries: Array, drawing: MarkerDrawing, side: float, most: int) ->
     return np.unique(np.rint(straight(entries, places).pixels), axis=0)
 
 
-# How many pixels are examined and how long: first to come near, then in the frame that was found
+# How many pixels are examined and how long, and whether white and halo are modelled: first to come near, then in
+# the frame that was found
 _PASSES = (
-    (300, Stopping(relative_decrease=5e-2, damping=1e-4)),
-    (1200, Stopping(relative_decrease=1e-3, damping=1e-5)),
+    (300, Stopping(relative_decrease=5e-2, damping=1e-4), False),
+    (1200, Stopping(relative_decrease=1e-3, damping=1e-5), True),
 )
 _ROUNDING = 1 / 12  # gray levels squared
 _DRAWN = 3e-7  # rounding errors of the drawing's brightness, 0 to 1
@@ -167,14 +170,17 @@ _HORIZON = 0.05  # least distance of a corner from the horizon, of the middle's
 _SHARPEST, _BLURRIEST = -0.5 * np.log(12), 4.0  # logarithms of the blur: of a pixel's own square, and of 55 px
 _MAD = 1.4826  # standard deviations of a normal distribution in a median of absolute values
 
-_ENTRIES, _BENDS, _BLUR, _TONE, _KNEE = slice(0, 8), slice(8, 14), 14, 15, 16
-_LEVEL, _CONTRAST = slice(17, 20), slice(20, 26)
-_COUNT = 26
+_WHITE, _BEYOND = 255.0, 0.01  # gray level that images end at, and the slope left there, for a fit of 0 and 255 alone
+_HALO_PX = (3.0, 8.0)  # standard deviations of two Gaussians: light strays near and far
+
+_ENTRIES, _BENDS, _BLUR, _TONE, _KNEE, _HALO = slice(0, 8), slice(8, 14), 14, 15, 16, 17
+_LEVEL, _CONTRAST = slice(18, 21), slice(21, 27)
+_COUNT = 27
 # What may be expected before the image is seen: of radial distortion at the image's corners, of other bends as a share
-# of the marker's side, of the logarithm of the blur (px), and of the tone curve's c and d
-_EXPECTED = np.array([0.0] * BENDS + [np.log(0.85), 0.0, 0.0])
-_SPREAD = np.array([0.5, 0.5, 1e-3, 1e-3, 1e-3, 1e-3, 0.85, 0.5, 0.3])
-_EXPECTATIONS = np.arange(8, 17)
+# of the marker's side, of the logarithm of the blur (px), of the tone curve's c and d, and of the halo's share
+_EXPECTED = np.array([0.0] * BENDS + [np.log(0.85), 0.0, 0.0, 0.0])
+_SPREAD = np.array([0.5, 0.5, 1e-3, 1e-3, 1e-3, 1e-3, 0.85, 0.5, 0.3, 0.05])
+_EXPECTATIONS = np.arange(8, 18)
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,11 +206,11 @@ def fit_marker(gray: Array, corners: Array, drawing: MarkerDrawing) -> MarkerFit
     middle = np.rint(corners.mean(axis=0))
     parameters = np.zeros(_COUNT)
     parameters[_ENTRIES], parameters[_EXPECTATIONS] = homography(corners - middle), _EXPECTED
-    for most, stopping in _PASSES:
+    for most, stopping, fine in _PASSES:
         window = marker_window(gray, middle, parameters[_ENTRIES], drawing, most)
         if len(window.values) < 2 * _COUNT:
             return None
-        problem, parameters = _MarkerProblem.lit(window, drawing, parameters)
+        problem, parameters = _MarkerProblem.lit(window, drawing, parameters, fine=fine)
         solution = minimise(problem, parameters, replace(stopping, rounding=problem.rounding))
         parameters = solution.state
     try:
@@ -230,15 +236,18 @@ def looks_alike(gray: Array, corners: Array, drawing: MarkerDrawing) -> float:
 
 @dataclass(frozen=True, eq=False)
 class _MarkerProblem:
-    """Residuals, in gray levels, of a marker's drawing; the state is (26,): homography, bends, logarithm of the blur
-    (that of the pixels' own squares included, which is the least), tone curve (2), plane of the level, quadratic of the
-    contrast.
+    """Residuals, in gray levels, of a marker's drawing; the state is (27,): homography, bends, logarithm of the blur
+    (that of the pixels' own squares included, which is the least), tone curve (2), share of the halo, plane of the
+    level, quadratic of the contrast.
 
+    halo: brightness (K,) of the drawing blurred widely, where it was before the fit, as it varies slowly; None: neither
+    halo nor white is modelled.
     variance: gray levels², of the noise, as far as it was known beforehand.
     """
 
     window: Window
     drawing: MarkerDrawing
+    halo: Array | None
     variance: float
 
     shared = _COUNT
@@ -250,37 +259,50 @@ class _MarkerProblem:
         return 0.5 * len(self.window.values) * (_DRAWN * float(np.ptp(self.window.values))) ** 2 / self.variance
 
     @classmethod
-    def lit(cls, window: Window, drawing: MarkerDrawing, parameters: Array) -> tuple["_MarkerProblem", Array]:
+    def lit(
+        cls, window: Window, drawing: MarkerDrawing, parameters: Array, *, fine: bool
+    ) -> tuple["_MarkerProblem", Array]:
         """Return the problem with the noise as it looks from some parameters, and these with the best light.
 
         Level and contrast are linear: they follow by least squares, whatever the parameters say of them.
         """
-        shades = cls(window, drawing, 1.0).evaluated(parameters)[1][:, _LEVEL.start :]
+        places, placed = _placed(window, parameters)
+        wide = [drawing.blurred(places, placed.gradients, blur).value for blur in _HALO_PX] if fine else []
+        halo = np.mean(wide, axis=0) if fine else None
+        dark = np.concatenate([parameters[: _LEVEL.start], np.zeros(_COUNT - _LEVEL.start)])
+        shades = cls(window, drawing, halo, 1.0).evaluated(dark)[1][:, _LEVEL.start :]
         light = _combination(shades, window.values)
         variance = _variance(shades @ light - window.values)
-        return cls(window, drawing, variance), np.concatenate([parameters[: _LEVEL.start], light])
+        return cls(window, drawing, halo, variance), np.concatenate([parameters[: _LEVEL.start], light])
 
     def evaluated(self, parameters: Array) -> tuple[Array, Array]:
-        """Return model less image (K,) and the derivatives (K, 26)."""
-        window, entries = self.window, parameters[_ENTRIES]
-        places = places_of(entries, window.pixels - window.bends @ parameters[_BENDS])
-        placed = straight(entries, places)
+        """Return model less image (K,) and the derivatives (K, 27)."""
+        window = self.window
+        places, placed = _placed(window, parameters)
         seen = self.drawing.blurred(places, placed.gradients, np.exp(parameters[_BLUR]))
         level, contrast = window.light[:, :3] @ parameters[_LEVEL], window.light @ parameters[_CONTRAST]
+        stray = np.zeros_like(seen.value) if self.halo is None else self.halo - seen.value
         odds = np.exp(parameters[_TONE])
-        toned = odds * seen.value / (1 + (odds - 1) * seen.value)
+        light = seen.value + parameters[_HALO] * stray
+        toned = odds * light / (1 + (odds - 1) * light)
         bow, knee = toned * (1 - toned), parameters[_KNEE]
         steep = contrast * (1 + knee * (1 - 6 * bow))
         shown = toned + knee * bow * (1 - 2 * toned)
-        gain = steep * odds / (1 + (odds - 1) * seen.value) ** 2
-        slope = -gain[:, None] * _along(seen.slope, placed.gradients)
+        gain = steep * odds / (1 + (odds - 1) * light) ** 2
+        direct = (1 - parameters[_HALO]) * gain
+        slope = -direct[:, None] * _along(seen.slope, placed.gradients)
         jacobian = np.empty((len(places), _COUNT))
         jacobian[:, _ENTRIES], jacobian[:, _BENDS] = _along(slope, placed.by_entries), _along(slope, window.bends)
-        jacobian[:, _BLUR] = gain * seen.by_blur
+        jacobian[:, _BLUR] = direct * seen.by_blur
         jacobian[:, _TONE] = steep * bow
         jacobian[:, _KNEE] = contrast * bow * (1 - 2 * toned)
+        jacobian[:, _HALO] = gain * stray
         jacobian[:, _LEVEL], jacobian[:, _CONTRAST] = window.light[:, :3], window.light * shown[:, None]
-        return level + contrast * shown - window.values, jacobian
+        values = level + contrast * shown
+        above = (values > _WHITE) & (self.halo is not None and parameters[_BLUR] > _SHARPEST)
+        values[above] = _WHITE + _BEYOND * (values[above] - _WHITE)
+        jacobian[above] *= _BEYOND
+        return values - window.values, jacobian
 
     def blocks(self, parameters: Array) -> Sequence[Block] | None:
         """Return the image and what is expected beforehand; None for a marker seen edge-on, or a blur beyond reason."""
@@ -294,7 +316,7 @@ class _MarkerProblem:
         if parameters[_BLUR] <= _SHARPEST and self._sharpens(residuals, jacobian, off):
             # sharper than pixels are: the blur stays, and what would change it is taken out
             off, pulls = np.append(off, 0.0), np.vstack([pulls, pulls[_BLUR - _EXPECTATIONS[0]]])
-            jacobian[:, _BLUR], pulls[_BLUR - _EXPECTATIONS[0]] = 0.0, 0.0
+            jacobian[:, [_BLUR, _HALO]], pulls[_BLUR - _EXPECTATIONS[0]] = 0.0, 0.0
         image, expected = Jacobian(jacobian[:, None], np.arange(_COUNT)), Jacobian(pulls[:, None], _EXPECTATIONS)
         return [Block(residuals[:, None], (image,), weights=weights, loss=_LOSS), Block(off[:, None], (expected,))]
 
@@ -309,6 +331,12 @@ class _MarkerProblem:
         moved = parameters + step.shared
         moved[_BLUR] = max(moved[_BLUR], _SHARPEST)
         return np.asarray(moved)
+
+
+def _placed(window: Window, parameters: Array) -> tuple[Array, Straight]:
+    """Return the places (K, 2), as u, v, that a window shows, and what the homography makes of them."""
+    places = places_of(parameters[_ENTRIES], window.pixels - window.bends @ parameters[_BENDS])
+    return places, straight(parameters[_ENTRIES], places)
 
 
 def _combination(columns: Array, values: Array) -> Array:

@@ -3,9 +3,8 @@
 import os
 import platform
 import re
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from importlib import metadata
-from typing import Any
 
 from camcal import __version__
 from camcal.messages import Message
@@ -89,11 +88,6 @@ def examine() -> Examination:
         environment={name: value for name, value in sorted(os.environ.items()) if name.startswith("OPENCV_")},
         failures=tuple(failures),
     )
-
-
-def document(found: Examination) -> dict[str, Any]:
-    """Return an examination as plain data."""
-    return asdict(found)
 
 
 def _requirements() -> list[tuple[str, str, str]]:

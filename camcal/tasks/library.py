@@ -13,7 +13,6 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from camcal.arrays import Array, FloatArray, PixelArray, require_shape
-from camcal.brief import Brief
 from camcal.calibrate.rigs.record import Captures
 from camcal.cameras.model import Camera
 from camcal.errors import InvalidInput
@@ -25,12 +24,11 @@ from camcal.images.options import ViewOptions
 from camcal.images.remap import build_maps
 from camcal.images.views import make_view
 from camcal.progress import SILENT, Progress
-from camcal.stereo.disparity import Confidence, Disparity
-from camcal.stereo.geometry import StereoGeometry
+from camcal.records import Brief
+from camcal.stereo.disparity import Confidence, Disparity, StereoGeometry
+from camcal.stereo.options import RectifiedViewOptions
 from camcal.stereo.points.cloud import CloudMaker
-from camcal.stereo.points.depth import StereoImage
-from camcal.stereo.points.frames import COLOUR, POSITION
-from camcal.stereo.rectify.options import RectifiedViewOptions
+from camcal.stereo.points.frames import COLOUR, POSITION, StereoImage
 from camcal.stereo.rectify.plan import PairMaps, build_pair_maps, plan_rectification
 from camcal.stereo.rectify.record import Rectification
 from camcal.targets.board import Board

@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from camcal.cameras.observations import Observations
-from camcal.cameras.reprojection import whitened, whitening_of
+from camcal.cameras.observations import Observations, whitened, whitening_of
 from camcal.targets.detection import BoardDetection
 
 

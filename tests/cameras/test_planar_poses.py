@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from camcal.cameras.planar_poses import planar_poses
+from camcal.cameras.observations import planar_poses
 from camcal.geometry import rotation as so3
 
 GRID = np.array([(x, y, 0.0) for y in np.linspace(-1, 1, 4) for x in np.linspace(-1, 1, 5)])

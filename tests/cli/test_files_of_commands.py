@@ -19,7 +19,7 @@ from camcal.formats.disparity_sidecar import Sidecar
 from camcal.images.files import save
 from camcal.options import GENERAL, OUTPUT, PATH
 from camcal.run.options import inputs_of
-from camcal.stereo.geometry import StereoGeometry
+from camcal.stereo.disparity import StereoGeometry
 
 MINE = b"mine\n"
 WAYS = list(product(("itself", "hard", "symbolic"), ("{}", "{}#left", "left={}")))

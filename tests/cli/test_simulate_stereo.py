@@ -10,7 +10,7 @@ import pytest
 from camcal.cli.main import app
 from camcal.formats import disparity, disparity_sidecar, native
 from camcal.images.files import load
-from camcal.stereo.geometry import of_pair
+from camcal.stereo.disparity import of_pair
 
 SMALL = ("--stereo", "--size", "96x72", "--objects", "2", "--jobs", "1", "--quiet")
 BOARD = "chessboard:7x5:25mm"

@@ -16,8 +16,7 @@ from camcal.formats.camera_file import CameraEntry, CameraFile, Transform
 from camcal.formats.disparity_sidecar import Sidecar
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
-from camcal.stereo.disparity import Confidence
-from camcal.stereo.geometry import StereoGeometry
+from camcal.stereo.disparity import Confidence, StereoGeometry
 
 CONFIG = Path(__file__).parents[2] / "sample_configs" / "stereo_cloud.yaml"
 FEW = ["--outliers", "none"]  # six pixels are no company to one another

@@ -15,8 +15,7 @@ from camcal.formats.camera_file import CameraEntry, CameraFile, Transform
 from camcal.geometry.pose import Pose
 from camcal.images.files import load
 from camcal.run.outputs import listed
-from camcal.stereo.disparity import Confidence
-from camcal.stereo.geometry import StereoGeometry
+from camcal.stereo.disparity import Confidence, StereoGeometry
 
 SIZE = (120, 80)
 TRUTH = waves(4, 20, SIZE)

@@ -9,7 +9,7 @@ import pytest
 
 from camcal.formats import disparity, disparity_sidecar
 from camcal.formats.disparity_sidecar import Sidecar
-from camcal.stereo.geometry import StereoGeometry
+from camcal.stereo.disparity import StereoGeometry
 
 CONFIG = Path(__file__).parents[2] / "sample_configs" / "stereo_eval.yaml"
 SIZE = (20, 40)

@@ -12,7 +12,7 @@ from camcal.formats import cameras, native
 from camcal.formats.camera_file import CameraEntry, CameraFile, Transform
 from camcal.geometry.pose import Pose
 from camcal.images.files import load, save
-from camcal.stereo.geometry import of_pair
+from camcal.stereo.disparity import of_pair
 
 SIZE = (160, 120)
 LENS = Camera(model_named("opencv5"), SIZE, np.array([150.0, 150.5, 80.0, 58.5, -0.2, 0.05, 1e-3, 0.0, 0.0]))

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from camcal.errors import CamcalError, FileError, InvalidInput
 from camcal.formats import pair_calibration
-from camcal.stereo.geometry import StereoGeometry
+from camcal.stereo.disparity import StereoGeometry
 
 MIDDLEBURY = """cam0=[999.421 0 294.182; 0 999.421 252.932; 0 0 1]
 cam1=[999.421 0 326.96; 0 999.421 252.932; 0 0 1]

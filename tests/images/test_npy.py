@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from camcal.errors import FileError
-from camcal.images.npy import read_npy, write_npy
+from camcal.images.image import read_npy, write_npy
 
 
 @pytest.mark.parametrize(("stored", "read"), [("<f8", "f4"), (">f4", "f4"), (">u2", "u2"), ("u1", "u1"), (">i4", "i4")])

@@ -7,10 +7,9 @@ import pytest
 
 from camcal.formats import disparity, pair_calibration
 from camcal.images.files import load
-from camcal.stereo.geometry import StereoGeometry
+from camcal.stereo.disparity import StereoGeometry
 from camcal.stereo.points.cloud import CloudMaker
-from camcal.stereo.points.depth import StereoImage
-from camcal.stereo.points.frames import Frame
+from camcal.stereo.points.frames import Frame, StereoImage
 from camcal.stereo.points.selection import Selection, select
 
 # As the textbook prints them; KITTI's own calibration has a baseline of 0.537 m.

@@ -35,8 +35,8 @@ def test_a_bow_and_a_scale_are_said_beyond_two_standard_deviations(stds, said):
         assert any(line.endswith("% (correlation with fx +0.50)") for line in lines) == said
 
 
-@pytest.mark.parametrize(("share", "said"), [(5e-7, False), (9.9e-7, False), (1.01e-6, True), (2e-6, True)])
-def test_offsets_of_corners_are_said_beyond_a_millionth_of_the_board(share, said):
+@pytest.mark.parametrize(("share", "said"), [(5e-6, False), (9.9e-6, False), (1.01e-5, True), (2e-5, True)])
+def test_offsets_of_corners_are_said_beyond_a_hundred_thousandth_of_the_board(share, said):
     assert bool(board_lines(offset=share)) == said
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from camcal.report.stereo_pictures import ERROR_EDGES, disparity_picture, error_picture, robust_range
-from camcal.stereo.geometry import StereoGeometry
+from camcal.stereo.disparity import StereoGeometry
 
 GEOMETRY = StereoGeometry(1000, 1000, 5, 5, 0.2)
 HEIGHT, WIDTH = 40, 500

@@ -149,6 +149,14 @@ def test_a_data_block_with_markup_is_refused():
         rendered(bare(blocks=(DataBlock("x-data", "text/plain", "</script>"),)))
 
 
+def test_a_table_without_rows_is_its_caption():
+    table = Table.of("No correlation is beyond ± 0.9", ("parameters", "correlation"), [], folded=True)
+    text = rendered(bare(sections=(Section("s", "S", tables=(table,)),)))
+    assert "<p>No correlation is beyond ± 0.9.</p>" in text
+    assert "<table" not in text
+    tree_of(text)
+
+
 def test_columns_of_numbers_are_told_from_names():
     table = Table.of("c", ("name", "value", "std"), [["left", "1.5", "0.1"], ["2nd", "3e-05", "fixed"], ["r", "2", ""]])
     assert table.numeric == [False, True, False]

@@ -14,7 +14,7 @@ from camcal.formats import native
 from camcal.formats.camera_file import CameraEntry, CameraFile
 from camcal.images.files import save
 from camcal.progress import SILENT
-from camcal.run import manifest
+from camcal.run import fingerprint
 from camcal.run.fanout import fan_out
 from camcal.run.outputs import watch_files
 from camcal.tasks.calibration.undistort import undistort
@@ -60,7 +60,7 @@ def test_an_output_folder_that_becomes_a_link_ends_the_run_and_nothing_goes_thro
     foreign = folder / "foreign"
     foreign.mkdir()
     (foreign / "c.png").write_bytes(b"theirs")
-    manifest.change(foreign, {"c.png": None})  # which would else be replaced
+    fingerprint.change(foreign, {"c.png": None})  # which would else be replaced
     before = {path.name: path.read_bytes() for path in foreign.iterdir()}
     options = UndistortOptions("lens.yaml", Path("out"), ("photos",), jobs=1)
     with pytest.raises(FileError, match=r"out: was moved, removed or replaced while the run wrote into it"):
@@ -108,5 +108,5 @@ def test_no_folder_is_made_below_one_that_was_exchanged(folder):
         with pytest.raises(FileError, match="out: was moved"):
             files.write_bytes(Path("out/below/b.png"), b"ours")
         with pytest.raises(FileError, match="out: was moved"):
-            manifest.append(Path("out"), {"a.png": None})
+            fingerprint.append(Path("out"), {"a.png": None})
     assert names(folder / "foreign") == []

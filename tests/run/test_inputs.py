@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from camcal.errors import FileError, InvalidInput
-from camcal.run import manifest
+from camcal.run import fingerprint
 from camcal.run.paths import find_images, find_media, split_address
 
 
@@ -97,9 +97,9 @@ def test_a_video_named_where_images_are_needed_is_refused(folder):
 
 def test_images_camcal_wrote_are_left_out_beside_others(folder):
     fill(folder, "a.dng", "a.png", "b.png", "undistorted/a.png")
-    manifest.change(folder, {"a.png": None})
-    manifest.change(folder, {"b.png": None})
-    manifest.change(folder / "undistorted", {"a.png": None})
+    fingerprint.change(folder, {"a.png": None})
+    fingerprint.change(folder, {"b.png": None})
+    fingerprint.change(folder / "undistorted", {"a.png": None})
     assert names(find_images([folder])) == ["photos/a.dng"]
     assert names(find_images([folder], recursive=True)) == ["photos/a.dng"]
     assert names(find_images(["photos/a.*"])) == ["photos/a.dng"]
@@ -108,20 +108,20 @@ def test_images_camcal_wrote_are_left_out_beside_others(folder):
 def test_a_name_that_is_not_utf8_is_remembered_too(folder):
     odd = os.fsdecode(b"caf\xe9.png")
     fill(folder, "a.dng", odd)
-    manifest.change(folder, {odd: None})
+    fingerprint.change(folder, {odd: None})
     assert names(find_images([folder])) == ["photos/a.dng"]
 
 
 def test_no_outputs_leave_no_list(folder):
     fill(folder, "a.png")
-    manifest.change(folder, {})
+    fingerprint.change(folder, {})
     assert [path.name for path in folder.iterdir()] == ["a.png"]
 
 
 def test_images_camcal_wrote_are_read_when_named_or_alone(folder):
     fill(folder, "a.dng", "a.png", "undistorted/a.png")
-    manifest.change(folder, {"a.png": None})
-    manifest.change(folder / "undistorted", {"a.png": None})
+    fingerprint.change(folder, {"a.png": None})
+    fingerprint.change(folder / "undistorted", {"a.png": None})
     assert names(find_images(["photos/a.png"])) == ["photos/a.png"]
     assert names(find_images([folder / "undistorted"])) == ["photos/undistorted/a.png"]
 

@@ -10,7 +10,7 @@ import pytest
 from camcal import files
 from camcal.errors import FileError, InvalidInput
 from camcal.options import INPUT, OUTPUT, Argument, Option, OptionsRecord, Written
-from camcal.run import manifest, outputs
+from camcal.run import fingerprint, outputs
 from camcal.run.outputs import claim, says_camcal, writes
 from camcal.tasks.options import Overwrite
 
@@ -181,7 +181,7 @@ def test_a_file_that_another_process_writes_for_a_run_is_listed_with_its_hash(tm
     with outputs.watch_files():
         claim([path])
         path.write_bytes(b"result\n")
-    assert manifest.entries(tmp_path) == {"a.png": manifest.Entry.of(path)}
+    assert fingerprint.entries(tmp_path) == {"a.png": fingerprint.Entry.of(path)}
 
 
 @pytest.mark.parametrize("elsewhere", [False, True])

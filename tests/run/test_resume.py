@@ -9,8 +9,8 @@ import pytest
 from camcal import files
 from camcal.errors import InvalidInput
 from camcal.images.files import save
-from camcal.run import manifest
-from camcal.run.manifest import MANIFEST
+from camcal.run import fingerprint
+from camcal.run.fingerprint import MANIFEST
 from camcal.run.options import BatchOptions
 from camcal.run.outputs import claim, watch_files
 from camcal.run.resume import Items, resumable
@@ -136,8 +136,8 @@ def test_the_list_of_an_earlier_version_has_no_hashes_and_everything_is_made_aga
 def test_a_broken_last_line_is_ignored(folder):
     run()
     before = contents()
-    entry = manifest.entries(Path("out"))["1.png"]
-    manifest.append(Path("out"), {"1.png": None})
+    entry = fingerprint.entries(Path("out"))["1.png"]
+    fingerprint.append(Path("out"), {"1.png": None})
     with Path("out", MANIFEST).open("a") as stream:
         stream.write("\t".join(map(str, entry))[:90])
     assert redone(run()) == ["1.png"]
@@ -149,8 +149,8 @@ def test_a_broken_last_line_is_ignored(folder):
 )
 def test_a_result_in_the_list_that_cannot_be_read_is_made_again(folder, result):
     run()
-    entry = manifest.entries(Path("out"))["1.png"]
-    manifest.change(Path("out"), {"1.png": entry._replace(result=result)})
+    entry = fingerprint.entries(Path("out"))["1.png"]
+    fingerprint.change(Path("out"), {"1.png": entry._replace(result=result)})
     assert redone(run()) == ["1.png"]
 
 
@@ -179,9 +179,9 @@ def test_a_folder_that_cannot_be_written_is_enough_where_nothing_is_left_to_do(f
 def test_a_size_in_the_list_that_is_no_size_is_ignored(folder):
     run()
     text = Path("out", MANIFEST).read_text()
-    size = str(manifest.entries(Path("out"))["1.png"].size)
+    size = str(fingerprint.entries(Path("out"))["1.png"].size)
     Path("out", MANIFEST).write_text(text.replace(f"\t{size}\t", f"\t{'9' * 5000}\t", 1))
-    assert "1.png" not in manifest.entries(Path("out"))
+    assert "1.png" not in fingerprint.entries(Path("out"))
 
 
 def lengths(texts, *, fail_fast=False, stream=False):
@@ -218,8 +218,8 @@ def texts(tmp_path, monkeypatch):
 @pytest.mark.parametrize("stream", [False, True])
 def test_an_item_with_a_file_that_another_run_has_made_since_is_made_again(texts, stream):
     lengths(texts)
-    entry = manifest.entries(Path("out"))["1.b"]
-    manifest.change(Path("out"), {"1.b": entry._replace(made_from="0" * 64)})
+    entry = fingerprint.entries(Path("out"))["1.b"]
+    fingerprint.change(Path("out"), {"1.b": entry._replace(made_from="0" * 64)})
     assert lengths(texts, stream=stream) == [("0", "reused"), ("1", "made"), ("2", "reused")]
     assert lengths(texts, stream=stream) == [("0", "reused"), ("1", "reused"), ("2", "reused")]
 
@@ -250,4 +250,4 @@ def test_inputs_after_one_that_is_gone_are_compared_whatever_ends_the_run(texts)
 def test_the_list_is_in_natural_order(texts):
     Path("10.txt").write_text("some text\n")
     lengths([*texts, Path("10.txt")])
-    assert list(manifest.entries(Path("out"))) == ["0.a", "0.b", "1.a", "1.b", "2.a", "2.b", "10.a", "10.b"]
+    assert list(fingerprint.entries(Path("out"))) == ["0.a", "0.b", "1.a", "1.b", "2.a", "2.b", "10.a", "10.b"]

@@ -106,7 +106,7 @@ def test_runs_into_one_folder_keep_all_of_their_outputs_listed(start_python, tmp
     program = """
 import sys
 from pathlib import Path
-from camcal.run.manifest import append, change
+from camcal.run.fingerprint import append, change
 for number in range(40):
     change(Path(sys.argv[1]), {f"{sys.argv[2]}{number}.png": None})
     append(Path(sys.argv[1]), {f"{sys.argv[2]}{number}.jpg": None})

@@ -7,8 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 from camcal.errors import InsufficientData, InvalidInput
-from camcal.stereo.disparity import Confidence
-from camcal.stereo.geometry import StereoGeometry
+from camcal.stereo.disparity import Confidence, StereoGeometry
 from camcal.stereo.truth import AT_LEAST, FIGURES, Prediction, evaluate, mean_of
 
 GEOMETRY = StereoGeometry(1000, 1000, 5, 5, 0.2, 10)

@@ -7,7 +7,7 @@ from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.errors import InvalidInput
 from camcal.geometry.pose import Pose
-from camcal.stereo.geometry import StereoGeometry, of_pair, pinhole_intrinsics
+from camcal.stereo.disparity import StereoGeometry, of_pair, pinhole_intrinsics
 
 
 def camera(cx=320.0, cy=240.0, fx=500.0, model="pinhole", distortion=()):

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from camcal.targets.checker import grid as grids
+from camcal.targets.checker import proposals as grids
 
 ROWS, COLUMNS = 5, 7
 row, column = np.mgrid[0:ROWS, 0:COLUMNS].astype(float)

@@ -11,7 +11,7 @@ from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
 from camcal.simulate.render import Exposure, render
 from camcal.targets.board import Board
-from camcal.targets.checker import grid as grids
+from camcal.targets.checker import proposals as grids
 from camcal.targets.corners.cells import LONGEST_PX, Cells
 from camcal.targets.corners.measure import _cells, clear, measure
 from camcal.targets.corners.refine import RefinedCorners, refine

@@ -5,7 +5,7 @@ import pytest
 from drawn import picture, pose, truth
 
 from camcal.targets.board import Board
-from camcal.targets.checker import grid as grids
+from camcal.targets.checker import proposals as grids
 from camcal.targets.checker.checker import measure_saddles, measure_saddles_at
 
 BOARD = Board("chessboard", 7, 5)

@@ -20,7 +20,7 @@ from camcal.tasks.given_camera import camera_of
 from camcal.tasks.options import GivenCamera
 from camcal.tasks.poses.options import PnpOptions
 from camcal.tasks.poses.pnp import pnp
-from camcal.tasks.poses.track_options import TrackingOptions
+from camcal.tasks.poses.smooth_options import TrackingOptions
 from camcal.tasks.stereo.options import GeometryOptions
 from camcal.tasks.stereo.rectified_pair import geometry_of
 

@@ -10,7 +10,7 @@ from camcal.formats import native
 from camcal.formats.camera_file import CameraEntry, CameraFile, Transform
 from camcal.formats.disparity_sidecar import Sidecar
 from camcal.geometry.pose import Pose
-from camcal.stereo.geometry import StereoGeometry
+from camcal.stereo.disparity import StereoGeometry
 from camcal.tasks.stereo.options import GeometryOptions
 from camcal.tasks.stereo.rectified_pair import RectifiedPair, geometry_of, pair_of
 

@@ -23,8 +23,8 @@ from camcal.tasks.calibration.options import FrameOptions
 from camcal.tasks.calibration.video_frames import detect_frame
 from camcal.tasks.rigs.calibrate_rig import rig
 from camcal.tasks.rigs.camera_inputs import CameraInputs
+from camcal.tasks.rigs.matching import settled_together, survey_rig
 from camcal.tasks.rigs.options import RigSettings, RigTaskOptions
-from camcal.tasks.rigs.rig_videos import settled_together, survey_rig
 
 BOARD = Board("chessboard", 8, 5, 0.03)
 SIZE = (480, 360)
@@ -64,7 +64,7 @@ def test_instants_are_those_of_the_video_with_fewer_frames(noise_videos):
 
 
 def test_the_sharpest_instants_of_all_cameras_together_are_searched(noise_videos, monkeypatch):
-    monkeypatch.setattr("camcal.tasks.rigs.rig_videos.SEARCHED_PER_CHOSEN", 1)
+    monkeypatch.setattr("camcal.tasks.rigs.matching.SEARCHED_PER_CHOSEN", 1)
     found = survey_rig(noise_videos, FrameOptions(most=2), None, SILENT)
     assert found.instants.tolist() == [[6, 3], [14, 7]]
 

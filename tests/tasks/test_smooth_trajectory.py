@@ -3,7 +3,7 @@
 import numpy as np
 
 from camcal.geometry import rotation as so3
-from camcal.tasks.poses.smooth import broken_at_half_turns
+from camcal.report.figures.over_time import broken_at_half_turns
 
 
 def test_no_line_is_drawn_from_one_half_turn_to_the_other():

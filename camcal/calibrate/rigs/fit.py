@@ -27,8 +27,8 @@ from camcal.calibrate.rigs.problem import LensPrior, RigProblem, RigState
 from camcal.calibrate.shape import hold_to_print
 from camcal.cameras.lens import CameraModel
 from camcal.cameras.model import Camera
+from camcal.cameras.observations import by_pose
 from camcal.cameras.refit import refit
-from camcal.cameras.reprojection import by_pose
 from camcal.errors import InsufficientData
 from camcal.geometry import rotation as so3
 from camcal.solve.descent import Stopping

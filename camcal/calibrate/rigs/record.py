@@ -6,7 +6,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from camcal.arrays import FloatArray
-from camcal.brief import Brief
 from camcal.calibrate.fit import CalibrationFit, ShapeOptions
 from camcal.calibrate.intrinsics import Calibration
 from camcal.cameras.lens import CameraModel
@@ -14,6 +13,7 @@ from camcal.cameras.model import Camera
 from camcal.errors import InvalidInput
 from camcal.geometry.pose import Pose
 from camcal.messages import Message
+from camcal.records import Brief
 from camcal.targets.detection import BoardDetection
 
 

@@ -6,9 +6,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from camcal.arrays import Array, BoolArray, FloatArray
-from camcal.brief import Brief
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.estimate.curves.expressions import Expression, parse
+from camcal.records import Brief
 
 Columns = Mapping[str, Array]
 FLAGGED_CORRELATION = 0.99

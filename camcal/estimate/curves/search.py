@@ -6,9 +6,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.brief import Brief
 from camcal.errors import InvalidInput
 from camcal.estimate.curves.curve import Curve, Data, predictions, predictions_with_jacobian, require_enough
+from camcal.records import Brief
 from camcal.solve.dense import DenseEquations, DenseMethod, linearise_dense, minimise_dense
 from camcal.solve.descent import Descent, Iteration, Stopping
 from camcal.solve.losses import Cauchy, Huber, Loss, SoftL1, Tukey

@@ -11,8 +11,15 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.cameras.model import Camera
-from camcal.cameras.observations import Observations
-from camcal.cameras.reprojection import by_pose, linearised, residuals, rotated_points, whitened, whitening_of
+from camcal.cameras.observations import (
+    Observations,
+    by_pose,
+    linearised,
+    residuals,
+    rotated_points,
+    whitened,
+    whitening_of,
+)
 from camcal.estimate.poses import states as se3
 from camcal.estimate.poses.records import Correspondences
 from camcal.estimate.poses.states import Extents

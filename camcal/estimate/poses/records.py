@@ -6,9 +6,9 @@ from typing import Literal
 import numpy as np
 
 from camcal.arrays import Array, BoolArray, FloatArray, IntArray, readonly
-from camcal.brief import Brief
 from camcal.errors import InvalidInput
 from camcal.geometry.pose import Pose, carried, inverse_jacobian
+from camcal.records import Brief
 
 CAMERA_T_OBJECT, RIG_T_OBJECT = "camera_T_object", "rig_T_object"
 AMBIGUOUS = 0.01  # leaves 0.04 % wrong poses among small, far tags

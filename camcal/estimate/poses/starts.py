@@ -18,7 +18,7 @@ from itertools import combinations
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.cameras.planar_poses import planar_poses
+from camcal.cameras.observations import planar_poses
 from camcal.estimate.poses import states as se3
 from camcal.estimate.poses.packed_correspondences import PackedCorrespondences
 from camcal.estimate.poses.states import IN_PLANE, NEAR_PLANE, Extents

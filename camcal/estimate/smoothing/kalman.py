@@ -16,9 +16,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from camcal.arrays import Array, FloatArray, readonly
-from camcal.brief import Brief
 from camcal.errors import InvalidInput
 from camcal.messages import Message
+from camcal.records import Brief
 
 _LOG_2PI = float(np.log(2 * np.pi))
 

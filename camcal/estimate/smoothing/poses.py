@@ -16,7 +16,6 @@ from math import factorial
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.brief import Brief
 from camcal.errors import InsufficientData, NotConverged
 from camcal.estimate.smoothing.batch import (
     MeasurementFit,
@@ -36,6 +35,7 @@ from camcal.estimate.smoothing.series import (
 )
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Trajectory
+from camcal.records import Brief
 
 _SETTLED = 1e-7  # rad
 _ITERATIONS = 50

@@ -9,7 +9,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from camcal.arrays import Array, FloatArray, readonly
-from camcal.brief import Brief
 from camcal.errors import InsufficientData, InvalidInput, NotConverged
 from camcal.estimate.smoothing.batch import (
     BatchSolution,
@@ -25,6 +24,7 @@ from camcal.estimate.smoothing.batch import (
     squared_residuals,
 )
 from camcal.estimate.smoothing.linear_system import LinearSystem, MotionModel, kalman_filter, rts
+from camcal.records import Brief
 
 _DECADES = 5  # how far from the initial value noise is searched for, to either side
 _TOLERANCE = 0.01  # of a logarithm: 1 % of q, less than any series tells

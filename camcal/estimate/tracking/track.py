@@ -6,7 +6,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from camcal.arrays import Array, BoolArray, FloatArray, IntArray, readonly
-from camcal.brief import Brief
 from camcal.cameras.model import Camera
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.estimate.poses.records import Correspondences
@@ -20,6 +19,7 @@ from camcal.estimate.tracking.process_noise import Jitter, JitterStd, ProcessNoi
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose, inverse_jacobian
 from camcal.messages import Message
+from camcal.records import Brief
 
 MEASURED, PREDICTED, REJECTED, GAP = "measured", "predicted", "rejected", "gap"
 STATES = (MEASURED, PREDICTED, REJECTED, GAP)

@@ -290,3 +290,9 @@ def _draw_blur(axes: Axes, curve: BlurCurve, ends: str, theme: Theme) -> None:
     axes.set_ylabel(f"diameter on the sensor, {unit}")
     axes.grid(visible=True, which="major")
     axes.legend(loc="upper right", framealpha=0.9)
+
+
+def broken_at_half_turns(vectors: Array) -> Array:
+    """Return rotation vectors (K, 3) to draw a line through: NaN where they jump to the other way round."""
+    jumps = np.linalg.norm(np.diff(vectors, axis=0), axis=1) > np.pi
+    return np.where(np.append(False, jumps)[:, None], np.nan, vectors)

@@ -13,7 +13,7 @@ from camcal.arrays import Array, Float32Array, FloatArray, readonly
 from camcal.cameras.model import Camera
 from camcal.errors import InvalidInput
 from camcal.geometry.pose import Pose, point_jacobian
-from camcal.stereo.geometry import StereoGeometry
+from camcal.stereo.disparity import StereoGeometry
 from camcal.stereo.rectify.record import LATLON, PINHOLE
 
 _COLUMNS, _ROWS = 13, 9  # nodes over the picture; a lens's uncertainty is smooth between them

@@ -15,11 +15,10 @@ import cv2
 import numpy as np
 
 from camcal.arrays import Array, BoolArray
-from camcal.brief import Brief
 from camcal.errors import InvalidInput
 from camcal.raw.mosaic import full_scale
-from camcal.stereo.geometry import StereoGeometry
-from camcal.stereo.points.depth import StereoImage, row_blocks, widened
+from camcal.records import Brief
+from camcal.stereo.disparity import StereoGeometry
 from camcal.stereo.points.frames import (
     COLOUR,
     INTENSITY,
@@ -29,8 +28,11 @@ from camcal.stereo.points.frames import (
     UNITS,
     BackProjection,
     Frame,
+    StereoImage,
     VertexStream,
+    row_blocks,
     vertex_type,
+    widened,
 )
 from camcal.stereo.rectify.record import LATLON, PINHOLE
 

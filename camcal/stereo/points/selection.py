@@ -10,8 +10,7 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.errors import InvalidInput
 from camcal.raw.tiles import Each, difference, one_by_one
-from camcal.stereo.points.depth import StereoImage, require_size, row_blocks, widened
-from camcal.stereo.points.frames import BackProjection, Frame
+from camcal.stereo.points.frames import BackProjection, Frame, StereoImage, require_size, row_blocks, widened
 
 ORGANISED = "organised"
 RADIUS = "radius"

@@ -13,15 +13,15 @@ from typing import NamedTuple
 import numpy as np
 
 from camcal.arrays import Array, BoolArray, Float32Array, PixelArray
-from camcal.brief import Brief
 from camcal.cameras.model import Camera
 from camcal.cameras.validity import ImageCircle
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.geometry.pose import Pose
 from camcal.images.remap import Maps, build_maps
 from camcal.messages import Message
+from camcal.records import Brief
+from camcal.stereo.options import AUTO, RectifiedViewOptions
 from camcal.stereo.rectify.field import CommonField, Interval, Viewer, arc, common_field, directions_of, extent
-from camcal.stereo.rectify.options import AUTO, RectifiedViewOptions
 from camcal.stereo.rectify.record import AXES, CYLINDRICAL, LATLON, PINHOLE, Rectification
 from camcal.stereo.rectify.window import Region, Window, window_of
 

@@ -22,13 +22,13 @@ from types import MappingProxyType
 import numpy as np
 
 from camcal.arrays import Array, FloatArray, readonly
-from camcal.brief import Brief
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.lens import Projection, Rays
 from camcal.cameras.model import Camera
 from camcal.errors import InvalidInput
 from camcal.geometry.pose import Pose
 from camcal.messages import Message
+from camcal.records import Brief
 
 PINHOLE, CYLINDRICAL, LATLON = "pinhole", "cylindrical", "latlon"
 PROJECTIONS = (PINHOLE, CYLINDRICAL, LATLON)

@@ -12,8 +12,8 @@ from camcal.arrays import Array, BoolArray
 from camcal.cameras.validity import pixel_angles
 from camcal.errors import InsufficientData
 from camcal.images.options import LONGEST_SIDE
+from camcal.stereo.options import RectifiedViewOptions
 from camcal.stereo.rectify.field import CELLS, CommonField, Directions, Interval, Viewer, extent
-from camcal.stereo.rectify.options import RectifiedViewOptions
 from camcal.stereo.rectify.record import CYLINDRICAL, LATLON, PINHOLE
 
 FARTHEST = {PINHOLE: np.radians(70), CYLINDRICAL: np.radians(80), LATLON: np.radians(82)}  # off either plane

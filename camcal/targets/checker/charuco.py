@@ -22,7 +22,7 @@ from camcal import opencv
 from camcal.arrays import Array, IntArray
 from camcal.targets.board import Board
 from camcal.targets.board_map import map_of
-from camcal.targets.checker import grid as grids
+from camcal.targets.checker import proposals as grids
 from camcal.targets.checker.checker import Checker, clear_corners, trimmed, verified_corners, with_hidden_corners
 from camcal.targets.checker.proposals import proposals
 from camcal.targets.detection import MIN_CORNERS, BoardDetection

@@ -18,7 +18,7 @@ import numpy as np
 from camcal import opencv
 from camcal.arrays import Array
 from camcal.targets.board_map import map_of
-from camcal.targets.checker import grid as grids
+from camcal.targets.checker import proposals as grids
 
 AGREEMENT = 0.75  # of a window with two crossing edges at least; an outer corner of a board reaches 0.65
 # Largest share of a corner's window that is unlike the picture of a corner, beside what is usual on the board.

@@ -18,7 +18,7 @@ from camcal import opencv
 from camcal.arrays import Array
 from camcal.targets.board import Board
 from camcal.targets.board_types import dotted_squares
-from camcal.targets.checker import grid as grids
+from camcal.targets.checker import proposals as grids
 from camcal.targets.checker.checker import SIDE, Checker, clear_corners, extended, trimmed, verified_corners
 from camcal.targets.checker.proposals import proposals
 from camcal.targets.detection import BoardDetection

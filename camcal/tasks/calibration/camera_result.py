@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from camcal import files
-from camcal.brief import Brief
 from camcal.calibrate.channels import Aberration, ColourLens
 from camcal.calibrate.intrinsics import Calibration, CandidateModel, View
 from camcal.cameras.model import Camera
@@ -26,6 +25,7 @@ from camcal.formats.camera_file import (
 from camcal.messages import Message, counted
 from camcal.quality.assess import Assessment
 from camcal.quality.projection_uncertainty import ProjectionUncertainty
+from camcal.records import Brief
 from camcal.report.calibration import headline, view_record
 from camcal.report.table import projection_words, region_words
 from camcal.targets.board import Surface

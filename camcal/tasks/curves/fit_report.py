@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from camcal import records
 from camcal.errors import InsufficientData, NotConverged
-from camcal.estimate.curves.curve import CurveFit, Estimate
+from camcal.estimate.curves.curve import CurveFit
 from camcal.estimate.curves.fit import Comparison, End
 from camcal.solve.descent import Iteration
 from camcal.solve.differentiate import JacobianCheck
@@ -38,7 +39,7 @@ def document(report: FitReport) -> dict[str, Any]:
     found = report.fit
     return {
         **plain(found),
-        "profile": None if report.intervals is None else {name: list(ends) for name, ends in report.intervals.items()},
+        "profile": report.intervals,
         "comparison": _comparison(report),
         "jacobian_check": _check(report),
         "outliers": [report.lines[int(row)] for row in np.flatnonzero(found.outliers)],
@@ -54,14 +55,14 @@ def plain(found: CurveFit) -> dict[str, Any]:
     return {
         "model": found.curve.name,
         "formula": found.curve.text,
-        "parameters": {name: _estimate(value) for name, value in found.parameters.items()},
-        "derived": {name: _estimate(value) for name, value in found.derived.items()},
-        "free": list(found.free),
+        "parameters": found.parameters,
+        "derived": found.derived,
+        "free": found.free,
         "correlation": found.correlations().tolist(),
-        "strong_correlations": [list(pair) for pair in found.strong_correlations()],
-        "unobservable": [dict(parts) for parts in found.combinations],
-        "at_bounds": list(found.at_bounds),
-        **vars(found.goodness),
+        "strong_correlations": found.strong_correlations(),
+        "unobservable": found.combinations,
+        "at_bounds": found.at_bounds,
+        **records.document(found.goodness),
         "condition": found.condition,
         "iterations": found.iterations,
         "runs": found.runs,
@@ -83,6 +84,8 @@ def trace_csv(turns: Sequence[tuple[int, Iteration]]) -> str:
 
 def written(value: Any) -> Any:
     """Return plain data without what is not known, which a YAML file leaves out."""
+    if records.is_record(value):
+        value = records.document(value)
     if isinstance(value, Mapping):
         return {key: written(item) for key, item in value.items() if _is_known(item)}
     if isinstance(value, (list, tuple)):
@@ -94,27 +97,10 @@ def _is_known(value: Any) -> bool:
     return value is not None and not (isinstance(value, float) and not np.isfinite(value))
 
 
-def _estimate(estimate: Estimate) -> dict[str, Any]:
-    return {
-        "value": estimate.value,
-        "std": estimate.std,
-        "interval": None if estimate.interval is None else list(estimate.interval),
-        "held": estimate.held,
-    }
-
-
 def _comparison(report: FitReport) -> dict[str, Any] | None:
     if report.comparison is None or report.other is None:
         return None
-    comparison = report.comparison
-    return {
-        "with": plain(report.other),
-        "first": vars(comparison.first),
-        "second": vars(comparison.second),
-        "preferred": comparison.preferred,
-        "f": comparison.f,
-        "p_value": comparison.p_value,
-    }
+    return {"with": plain(report.other), **records.document(report.comparison)}
 
 
 def _check(report: FitReport) -> dict[str, Any] | None:

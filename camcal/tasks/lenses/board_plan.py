@@ -1,9 +1,9 @@
 """Planning of a board for a camera: distances at which it fits, is sharp and detectable, and accuracy."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from math import inf, sqrt
+from math import inf, pi, sqrt
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
 from camcal.optics import lens
 from camcal.quality.forecast import calibration_std, forecast_pose
+from camcal.records import entry
 from camcal.simulate.scene import observe
 from camcal.simulate.scene import views as scene_views
 from camcal.targets.board import APRILGRID, ASYMMETRIC_CIRCLES, Board
@@ -29,6 +30,9 @@ _HALVINGS = 24  # of a factor of 2 between distances: to 4e-8
 _REACH = 1e4  # board sizes between which distances are searched for
 _SQUARE_PX, _CELL_PX = 8.0, 2.0  # of a chessboard, and of a marker's cell
 
+POSE = ("tx_mm", "ty_mm", "tz_mm", "rx_deg", "ry_deg", "rz_deg")
+_TO_POSE = (1e3, 1e3, 1e3, 180 / pi, 180 / pi, 180 / pi)
+
 
 @dataclass(frozen=True)
 class BoardAt:
@@ -41,14 +45,16 @@ class BoardAt:
     does not fit the image.
     """
 
-    distance: float
-    smallest_px: float
-    largest_px: float
-    share: float
-    square_for_share: float | None
-    noise_px: float
-    sigma: tuple[float, ...] | None = None
-    p_wrong: float | None = None
+    distance: float = field(metadata=entry("distance_m", 1.0, "distance", "m"))
+    smallest_px: float = field(metadata=entry("smallest_square_px", 1.0, "smallest {element}", "px"))
+    largest_px: float = field(metadata=entry("largest_square_px", 1.0, "largest {element}", "px"))
+    share: float = field(metadata=entry("share", 1.0, "share of the image", ""))
+    square_for_share: float | None = field(
+        metadata=entry("square_for_share_mm", 1e3, "{element} for the wanted share", "mm")
+    )
+    noise_px: float = field(metadata=entry("noise_px", 1.0, "noise of a corner", "px"))
+    p_wrong: float | None = field(default=None, metadata=entry("p_wrong", 1.0, "probability of a wrong pose", ""))
+    sigma: tuple[float, ...] | None = field(default=None, metadata=entry("pose_std", _TO_POSE, parts=POSE))
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,7 +1,8 @@
 """The figures of a lens, each computed if its inputs are known, in SI units."""
 
 from collections.abc import Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from math import pi
 
 import numpy as np
 
@@ -9,6 +10,7 @@ from camcal.arrays import Array
 from camcal.cameras.model import Camera
 from camcal.cameras.validity import field_of_view, field_size, pixel_angles, pixel_sizes
 from camcal.optics import lens
+from camcal.records import entry
 from camcal.tasks.lenses.optics_setup import Setup
 
 
@@ -16,29 +18,29 @@ from camcal.tasks.lenses.optics_setup import Setup
 class FieldOfView:
     """The angles (rad) that the image sees: through the rays of a camera file, else of the thin lens."""
 
-    horizontal: float
-    vertical: float
-    diagonal: float
+    horizontal: float = field(metadata=entry("horizontal_deg", 180 / pi, "field of view, horizontal", "deg"))
+    vertical: float = field(metadata=entry("vertical_deg", 180 / pi, "field of view, vertical", "deg"))
+    diagonal: float = field(metadata=entry("diagonal_deg", 180 / pi, "field of view, diagonal", "deg"))
 
 
 @dataclass(frozen=True)
 class PixelAngle:
     """The angle (rad) that a pixel sees in the middle of the image and at the corner farthest from the axis."""
 
-    centre: float
-    corner: float
+    centre: float = field(metadata=entry("centre_deg", 180 / pi, "angle of a pixel at the centre", "deg"))
+    corner: float = field(metadata=entry("corner_deg", 180 / pi, "angle of a pixel at the corner", "deg"))
 
 
 @dataclass(frozen=True)
 class Focus:
     """Lengths (m) of the sharp image and of what is sharp around the focus."""
 
-    principal_distance: float
-    magnification: float
-    hyperfocal: float | None
-    near: float | None
-    far: float | None
-    depth_of_field: float | None
+    principal_distance: float = field(metadata=entry("principal_distance_mm", 1e3, "principal distance", "mm"))
+    magnification: float = field(metadata=entry("magnification", 1.0, "magnification", ""))
+    hyperfocal: float | None = field(metadata=entry("hyperfocal_m", 1.0, "hyperfocal distance", "m"))
+    near: float | None = field(metadata=entry("near_m", 1.0, "in focus from", "m"))
+    far: float | None = field(metadata=entry("far_m", 1.0, "in focus up to", "m"))
+    depth_of_field: float | None = field(metadata=entry("depth_of_field_m", 1.0, "depth of field", "m"))
 
 
 @dataclass(frozen=True)
@@ -48,10 +50,12 @@ class Diffraction:
     All but its size in metres are None without a pitch.
     """
 
-    airy_diameter: float
-    airy_px: float | None = None
-    contrast: float | None = None
-    sharp_f_number: float | None = None
+    airy_diameter: float = field(metadata=entry("airy_diameter_um", 1e6, "Airy disc", "um"))
+    airy_px: float | None = field(default=None, metadata=entry("airy_px", 1.0, "Airy disc", "px"))
+    contrast: float | None = field(default=None, metadata=entry("contrast", 1.0, "diffraction MTF at Nyquist", ""))
+    sharp_f_number: float | None = field(
+        default=None, metadata=entry("sharp_f_number", 1.0, "f-number with an Airy disc of 2 px", "")
+    )
 
     @property
     def limited(self) -> bool:
@@ -63,17 +67,17 @@ class Diffraction:
 class Exposure:
     """The f-number that light has at close focus, the stops this costs, and the exposure value at ISO 100."""
 
-    effective_f_number: float
-    close_focus_stops: float
-    exposure_value: float | None
+    effective_f_number: float = field(metadata=entry("effective_f_number", 1.0, "effective f-number", ""))
+    close_focus_stops: float = field(metadata=entry("close_focus_stops", 1.0, "light loss by close focus", "stops"))
+    exposure_value: float | None = field(metadata=entry("exposure_value", 1.0, "exposure value, ISO 100", "EV"))
 
 
 @dataclass(frozen=True)
 class ImageCircle:
     """The circle (m) that the lens lights, and the one that the sensor needs around the axis."""
 
-    given: float
-    needed: float
+    given: float = field(metadata=entry("given_mm", 1e3, "image circle", "mm"))
+    needed: float = field(metadata=entry("needed_mm", 1e3, "image circle that the sensor needs", "mm"))
 
 
 @dataclass(frozen=True)
@@ -85,21 +89,27 @@ class AtDistance:
     s. exposure_stops: of light between the exposure and that one. disparity_px, depth_error: of a stereo pair, px, m.
     """
 
-    distance: float
-    width: float | None = None
-    height: float | None = None
-    pixel: float | None = None
-    corner_pixel: float | None = None
-    line_pairs: float | None = None
-    blur_px: float | None = None
-    motion_px: float | None = None
-    longest_exposure: float | None = None
-    exposure_stops: float | None = None
-    disparity_px: float | None = None
-    depth_error: float | None = None
+    distance: float = field(metadata=entry("distance_m", 1.0, "distance", "m"))
+    width: float | None = field(default=None, metadata=entry("width_m", 1.0, "width of the field", "m"))
+    height: float | None = field(default=None, metadata=entry("height_m", 1.0, "height of the field", "m"))
+    pixel: float | None = field(default=None, metadata=entry("pixel_mm", 1e3, "a pixel at the centre", "mm"))
+    corner_pixel: float | None = field(
+        default=None, metadata=entry("corner_pixel_mm", 1e3, "a pixel at the corner", "mm")
+    )
+    line_pairs: float | None = field(default=None, metadata=entry("line_pairs_per_mm", 1e-3, "line pairs", "1/mm"))
+    blur_px: float | None = field(default=None, metadata=entry("blur_px", 1.0, "blur by defocus", "px"))
+    motion_px: float | None = field(default=None, metadata=entry("motion_px", 1.0, "blur by motion", "px"))
+    longest_exposure: float | None = field(
+        default=None, metadata=entry("longest_exposure_ms", 1e3, "exposure for 1 px of motion", "ms")
+    )
+    exposure_stops: float | None = field(
+        default=None, metadata=entry("exposure_stops", 1.0, "light lost by it", "stops")
+    )
+    disparity_px: float | None = field(default=None, metadata=entry("disparity_px", 1.0, "disparity", "px"))
+    depth_error: float | None = field(default=None, metadata=entry("depth_error_mm", 1e3, "depth, ±", "mm"))
 
 
-def field(setup: Setup) -> FieldOfView | None:
+def angles_of_view(setup: Setup) -> FieldOfView | None:
     """Return the field of view: to the outer edges of the image, or to its circle; None without a lens and a sensor."""
     if setup.measured and setup.camera is not None:
         return FieldOfView(*field_of_view(setup.camera, setup.lit))

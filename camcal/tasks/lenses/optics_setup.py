@@ -14,6 +14,7 @@ from camcal.formats import cameras
 from camcal.messages import Message
 from camcal.optics import lens
 from camcal.optics.lens import SensorFormat, effective_f_number, pixel_pitch, sensor_format
+from camcal.records import entry
 from camcal.run.paths import split_address
 from camcal.tasks.given_camera import read_camera_file
 from camcal.tasks.lenses.options import OpticsOptions, is_possible
@@ -44,12 +45,14 @@ class Setup:
     camera: Camera | None = None
     measured: bool = False
     lit: ImageCircle | None = None
-    focal: float | None = None
-    focus: float | None = None
+    focal: float | None = field(default=None, metadata=entry("focal_mm", 1e3, "focal length", "mm"))
+    focus: float | None = field(default=None, metadata=entry("focus_m", 1.0, "focus", "m"))
     sensor: tuple[float, float] | None = None
-    pitch: float | None = None
+    pitch: float | None = field(default=None, metadata=entry("pixel_pitch_um", 1e6, "pixel pitch", "um"))
     size: tuple[int, int] | None = None
-    circle: float | None = None
+    circle: float | None = field(
+        default=None, metadata=entry("circle_of_confusion_um", 1e6, "circle of confusion", "um")
+    )
     solved: float | None = None
     sources: Mapping[str, str] = field(default_factory=dict)
     warnings: tuple[Message, ...] = ()

@@ -1,17 +1,21 @@
 """`camcal smooth`: smoothing of trajectories or series, with covariances and noise estimates."""
 
-from dataclasses import asdict, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from math import degrees
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from camcal import files
+from camcal import files, records
 from camcal.arrays import Array
 from camcal.errors import InvalidInput
-from camcal.estimate.smoothing.kalman import NOT_JUDGED
+from camcal.estimate.smoothing.batch import OUTLIER_CONFIDENCE
+from camcal.estimate.smoothing.kalman import NOT_JUDGED, Consistency
 from camcal.estimate.smoothing.poses import PosesOptions, SmoothedPoses, poses_at, smooth_poses
 from camcal.estimate.smoothing.series import Series, SeriesOptions, SmoothedSeries, series_at, smooth_series
-from camcal.estimate.trajectory_error import TrajectoryError, trajectory_error
+from camcal.estimate.trajectory_error import ErrorFigures, ErrorOptions, TrajectoryError, trajectory_error
 from camcal.formats import series as tables
 from camcal.formats import trajectories
 from camcal.geometry import rotation as so3
@@ -19,14 +23,131 @@ from camcal.geometry.pose import Trajectory
 from camcal.messages import Message
 from camcal.progress import SILENT, Progress
 from camcal.report.figures.figure import encoded
-from camcal.report.figures.over_time import Panel, over_time
+from camcal.report.figures.over_time import Panel, broken_at_half_turns, over_time
 from camcal.report.figures.trajectories import path_of, trajectory_plots
+from camcal.report.track_words import consistency_details, consistency_line
 from camcal.run.outputs import writes
 from camcal.tasks.figure_files import figure_data, write_figures
 from camcal.tasks.poses.smooth_options import SmoothOptions
-from camcal.tasks.poses.smoothing import Outlier, Smoothing, wanted_stamps
 
-_TABLE_SUFFIX = ".csv"
+_MOST_STAMPS = 1_000_000
+_LISTED = 10
+_UNITS = {"rw": ("m²/s", "rad²/s"), "cv": ("m²/s³", "rad²/s³"), "ca": ("m²/s⁵", "rad²/s⁵")}
+_MODELS = {"rw": "random walk", "cv": "constant velocity", "ca": "constant acceleration"}
+Rows = list[list[object]]
+
+
+def wanted_stamps(options: SmoothOptions, stamps: Array) -> Array | None:
+    """Return the times (M,) in s that are wanted in place of those measured, from the first on; None: those."""
+    if options.resample is None:
+        return None
+    steps = (stamps[-1] - stamps[0]) / options.resample
+    if steps >= _MOST_STAMPS:
+        raise InvalidInput(f"--resample {options.resample:g} s makes {steps:.3g} stamps of this; ask for fewer")
+    return np.asarray(stamps[0] + options.resample * np.arange(int(steps + 1e-9) + 1))
+
+
+@dataclass(frozen=True)
+class Outlier:
+    """A measurement that disagrees with all others: its number from 0, its time, and the column it stands in."""
+
+    index: int
+    t: float
+    column: str | None
+
+
+@dataclass(frozen=True, eq=False)
+class Smoothing:
+    """What came of smoothing. q, sigma: by name, sigma empty where every measurement has its own.
+
+    nis: (N,) by column, or 'pose', of the measurements in the order of the file, NaN where none was predicted.
+    residual: root mean square of measured minus smoothed, in the unit of the columns, or m and rad of poses.
+    before, after: errors of measured and smoothed poses against a reference. written: the files; figures: those
+    of figures.
+    """
+
+    options: SmoothOptions
+    kind: str
+    measured: int
+    missing: int
+    stamps: Array
+    q: dict[str, float]
+    sigma: dict[str, float]
+    residual: dict[str, float]
+    log_likelihood: float
+    consistency: Consistency
+    nis: dict[str, Array]
+    outliers: tuple[Outlier, ...]
+    before: TrajectoryError | None = None
+    after: TrajectoryError | None = None
+    written: tuple[Path, ...] = ()
+    figures: tuple[Path, ...] = ()
+
+
+def lines(found: Smoothing) -> Iterator[str]:
+    """Yield what was smoothed, and with which noise."""
+    span = found.stamps[-1] - found.stamps[0]
+    missing = f", {found.missing} missing" if found.missing else ""
+    yield f"{found.options.source}: {found.measured} measurements{missing} over {span:.6g} s"
+    options, robust = found.options, ", Huber's loss" if found.options.robust != "none" else ""
+    yield f"smoothed by {_MODELS[options.model]} ({options.form} noise{robust}), {options.method}"
+    likeliest = {True: " (the most likely)", False: ""}
+    yield f"process noise q {_noise(found.q, found, squared=True)}{likeliest[options.q is None]}"
+    if found.sigma:
+        yield f"measurement noise sigma {_noise(found.sigma, found)}{likeliest[options.sigma is None]}"
+    yield f"residual RMS: {_noise(found.residual, found)}"
+
+
+def consistency_lines(found: Smoothing) -> Iterator[str]:
+    """Yield whether the covariances are reliable, and then what speaks for it."""
+    yield consistency_line(found.consistency)
+    if not found.consistency.innovations:
+        return
+    yield consistency_details(found.consistency)
+    if found.options.q is None:
+        yield "(q was estimated from the same data; validate with a second recording)"
+
+
+def outlier_line(found: Smoothing, everything: bool) -> str:
+    """Return which measurements disagree with all others; the first few, or every one."""
+    named = [f"{outlier.t:.3f} s{f' ({outlier.column})' if outlier.column else ''}" for outlier in found.outliers]
+    shown = named if everything else named[:_LISTED]
+    rest = f" and {len(named) - len(shown)} more" if len(shown) < len(named) else ""
+    what = "weights reduced" if found.options.robust != "none" else "--robust huber reduces their weights"
+    chance = (1 - OUTLIER_CONFIDENCE) * found.measured
+    return f"{len(named)} outliers ({chance:.2g} expected by chance; {what}): {', '.join(shown)}{rest}"
+
+
+def evaluation_rows(
+    options: ErrorOptions, before: TrajectoryError, after: TrajectoryError
+) -> tuple[str, Sequence[str], Rows]:
+    """Return title, columns and rows of the table of errors against a reference, mm and degrees."""
+    motions = f"motions over {options.delta:g} {options.unit}"
+    title = f"{after.poses} poses compared with the reference, alignment {options.alignment}; {motions}"
+    rows: Rows = []
+    for name, pick, scale in (
+        ("absolute, mm", "translation", 1e3),
+        ("absolute, deg", "rotation", degrees(1)),
+        ("relative, mm", "relative_translation", 1e3),
+        ("relative, deg", "relative_rotation", degrees(1)),
+    ):
+        for state, error in (("measured", before), ("smoothed", after)):
+            figures: ErrorFigures | None = getattr(error, pick)
+            if figures is not None:
+                rows.append([name, state, *(scale * value for value in (figures.rmse, figures.median, figures.max))])
+    return title, ("error", "", "RMS", "median", "largest"), rows
+
+
+def _noise(values: dict[str, float], found: Smoothing, squared: bool = False) -> str:
+    """Return numbers with their names and, where poses give them, units."""
+    if found.kind != "poses":
+        return ", ".join(f"{value:.4g}" if name == "all" else f"{name} {value:.4g}" for name, value in values.items())
+    units = ("m", "rad")
+    if squared:
+        units = _UNITS[found.options.model] if found.options.form == "continuous" else ("per step", "per step")
+    return ", ".join(f"{name} {value:.4g} {unit}" for (name, value), unit in zip(values.items(), units, strict=True))
+
+
 _PARTS = ("translation", "rotation")
 _SMOOTHED_ALREADY = Message(
     "smoothed_already",
@@ -51,7 +172,7 @@ def document(found: Smoothing) -> dict[str, Any]:
     """Return what came of smoothing as plain data for --json."""
     options = found.options
     return {
-        "source": options.source.as_posix(),
+        "source": options.source,
         "kind": found.kind,
         "measurements": found.measured,
         "missing": found.missing,
@@ -68,20 +189,19 @@ def document(found: Smoothing) -> dict[str, Any]:
         "residual_rms": found.residual,
         "log_likelihood": found.log_likelihood,
         "consistency": found.consistency.data(),
-        "nis": {name: values.tolist() for name, values in found.nis.items()},
-        "outliers": [asdict(outlier) for outlier in found.outliers],
+        "nis": found.nis,
+        "outliers": found.outliers,
         "evaluation": evaluation(found),
-        "written": [path.as_posix() for path in found.written],
+        "written": found.written,
         **figure_data(found.figures),
     }
 
 
 def _is_table(options: SmoothOptions) -> bool:
-    if options.columns or options.controls is not None:
-        if files.suffix_of(options.source) != _TABLE_SUFFIX:
-            raise InvalidInput("--columns and --input go with a CSV of numbers over time", where=str(options.source))
-        return True
-    return files.suffix_of(options.source) == _TABLE_SUFFIX and not trajectories.is_trajectory_csv(options.source)
+    is_csv, of_table = files.suffix_of(options.source) == ".csv", bool(options.columns) or options.controls is not None
+    if of_table and not is_csv:
+        raise InvalidInput("--columns and --input go with a CSV of numbers over time", where=str(options.source))
+    return of_table or (is_csv and not trajectories.is_trajectory_csv(options.source))
 
 
 def smooth_table(options: SmoothOptions) -> Smoothing:
@@ -92,7 +212,9 @@ def smooth_table(options: SmoothOptions) -> Smoothing:
         tables.require_suffix(options.output)
     series = _read_series(options)
     grid = wanted_stamps(options, series.stamps)
-    q = None if options.q is None else _single("--q", options.q)
+    if options.q is not None and len(options.q) != 1:
+        raise InvalidInput(f"--q has {len(options.q)} numbers; a table has one")
+    q = None if options.q is None else options.q[0]
     smoothed = smooth_series(series, SeriesOptions(options.motion, q, options.method, options.robust != "none"))
     shown = smoothed if grid is None else series_at(smoothed, grid)
     if options.output is not None:
@@ -159,12 +281,6 @@ def _table_panels(measured: SmoothedSeries, shown: SmoothedSeries) -> list[Panel
     ]
 
 
-def _single(option: str, numbers: tuple[float, ...]) -> float:
-    if len(numbers) != 1:
-        raise InvalidInput(f"{option} has {len(numbers)} numbers; a table has one")
-    return numbers[0]
-
-
 def _rms(values: Array) -> float:
     return float(np.sqrt(np.nanmean(values**2)))
 
@@ -220,26 +336,16 @@ def evaluation(found: Smoothing) -> dict[str, Any] | None:
         "alignment": comparison.alignment,
         "delta": comparison.delta,
         "delta_unit": comparison.unit,
-        "measured": _figures(found.before),
-        "smoothed": _figures(found.after),
+        **{
+            state: {
+                "poses": error.poses,
+                "scale": error.alignment.scale,
+                "pairs": error.pairs,
+                **records.figures(error),
+            }
+            for state, error in (("measured", found.before), ("smoothed", found.after))
+        },
     }
-
-
-def _figures(error: TrajectoryError) -> dict[str, Any]:
-    parts = {
-        "ate_m": error.translation,
-        "ate_rad": error.rotation,
-        "rpe_m": error.relative_translation,
-        "rpe_rad": error.relative_rotation,
-    }
-    plain = {name: None if figures is None else asdict(figures) for name, figures in parts.items()}
-    return {"poses": error.poses, "scale": error.alignment.scale, "pairs": error.pairs, **plain}
-
-
-def broken_at_half_turns(vectors: Array) -> Array:
-    """Return rotation vectors (K, 3) to draw a line through: NaN where they jump to the other way round."""
-    jumps = np.linalg.norm(np.diff(vectors, axis=0), axis=1) > np.pi
-    return np.where(np.append(False, jumps)[:, None], np.nan, vectors)
 
 
 def _of_poses(

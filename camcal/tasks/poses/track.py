@@ -29,7 +29,7 @@ from camcal.tasks.given_camera import require_no_image
 from camcal.tasks.poses.frame_times import frame_times, require_times
 from camcal.tasks.poses.options import PnpOptions
 from camcal.tasks.poses.pnp import pnp
-from camcal.tasks.poses.track_options import TrackingOptions
+from camcal.tasks.poses.smooth_options import TrackingOptions
 
 if TYPE_CHECKING:
     from camcal.report.figures.figure import Plot

@@ -7,7 +7,7 @@ patterns; with --make-bad-pixel-map, the pixels of a sensor that dark frames giv
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import nullcontext
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,7 @@ from camcal.formats import emit
 from camcal.images.files import KINDS, save
 from camcal.images.image import Image
 from camcal.options import NUMBERS, declared
-from camcal.progress import SILENT, Outcome, Progress, reused
+from camcal.progress import SILENT, Outcome, Progress, failed_items, reused
 from camcal.raw import calibration_frames
 from camcal.raw.calibration_frames import dark_average, flat_gain, stack
 from camcal.raw.demosaic import resolved
@@ -43,6 +43,7 @@ from camcal.raw.names import HALF, MONO, PATTERNS
 from camcal.raw.options import BARE_SUFFIXES, GRAY_WORLD, HEADERLESS_SUFFIXES, NO_BALANCE, Balance, Development
 from camcal.raw.reading import missing_pattern, read_mosaic
 from camcal.raw.tiles import Each, one_by_one
+from camcal.records import entry
 from camcal.run import fingerprint
 from camcal.run.outputs import claim, writes
 from camcal.run.paths import find_images, place
@@ -219,14 +220,7 @@ def _warn_of_a_short_scale(
 def document(outcomes: Sequence[Outcome[Path, DevelopedFrame]]) -> dict[str, Any]:
     """Return what became of the frames as plain data for --json."""
     written = [outcome.value for outcome in outcomes if outcome.value is not None]
-    paths = ("source", "output", "settings")
-    return {
-        "images": [asdict(frame) | {name: getattr(frame, name).as_posix() for name in paths} for frame in written],
-        "reused": reused(outcomes),
-        "failed": [
-            {"source": outcome.item.as_posix(), "message": str(outcome.error)} for outcome in outcomes if outcome.error
-        ],
-    }
+    return {"images": written, "reused": reused(outcomes), "failed": failed_items(outcomes, "source")}
 
 
 def _settings_beside(image: Path) -> Path:
@@ -289,20 +283,6 @@ def _preview(options: DemosaicOptions, source: Path, pattern: str) -> Path:
     return options.output / f"{source.stem}_{pattern}.png"
 
 
-def previews_document(previews: list[PatternPreviews]) -> dict[str, Any]:
-    """Return the previews as plain data for --json."""
-    return {
-        "previews": [
-            {
-                "source": each.source.as_posix(),
-                "thumbnails": {pattern: path.as_posix() for pattern, path in each.thumbnails.items()},
-                "likely": list(each.likely),
-            }
-            for each in previews
-        ]
-    }
-
-
 _FOUR = ("R", "Gr", "Gb", "B")  # the order in which four black levels are given
 
 
@@ -355,7 +335,7 @@ def frames(inputs: Sequence[Path | str], reading: RawInput) -> Iterator[Array]:
 class BadPixelMap:
     """The map that was written: how many frames it is made of, how many pixels are bad, of how many."""
 
-    output: Path
+    output: Path = field(metadata=entry("bad_pixel_map"))
     frames: int
     bad: int
     pixels: int
@@ -381,8 +361,3 @@ def make_bad_pixel_map(options: DemosaicOptions, progress: Progress = SILENT) ->
     progress.finish()
     calibration_frames.write_map(options.output, mask)
     return BadPixelMap(options.output, len(sources), int(np.count_nonzero(mask)), mask.size)
-
-
-def map_document(found: BadPixelMap) -> dict[str, Any]:
-    """Return the result as plain data for --json."""
-    return {"bad_pixel_map": found.output.as_posix(), "frames": found.frames, "bad": found.bad, "pixels": found.pixels}

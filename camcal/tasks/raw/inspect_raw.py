@@ -1,7 +1,7 @@
 """`camcal inspect` of a raw frame: levels, exposure, and metadata."""
 
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -157,7 +157,7 @@ def document(inspection: RawInspection) -> dict[str, Any]:
             "camera_gains": frame.camera_gains,
             "camera_M_xyz": frame.camera_M_xyz,
             "orientation": frame.orientation,
-            "capture": asdict(frame.capture),
-            "channels": [asdict(facts) for facts in inspection.channels],
+            "capture": frame.capture,
+            "channels": inspection.channels,
         },
     }

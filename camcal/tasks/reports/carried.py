@@ -215,7 +215,10 @@ def run_of(
         "words": list(words),
         "options": settings_of(options),
         "board": boards.block(board),
-        "guess": _guess_files(options),
+        "guess": [
+            {"name": name, "content": base64.b64encode(files.read_bytes(split_address(value)[0])).decode("ascii")}
+            for name, value in _guesses(options)
+        ],
         "hashes": hashes,
         "environment": environment(),
         "result": result,
@@ -265,15 +268,6 @@ def _require_type(each: Declared, given: Any) -> Any:
     if not fits:
         raise InvalidInput(f"options.{_key(each)}: {given!r} is not a value of this option")
     return given
-
-
-def _guess_files(options: Any) -> list[dict[str, str]]:
-    """Return the camera files that the options start from, with their content."""
-    found = []
-    for name, value in _guesses(options):
-        path = split_address(value)[0]
-        found.append({"name": name, "content": base64.b64encode(files.read_bytes(path)).decode("ascii")})
-    return found
 
 
 def _guesses(options: Any) -> list[tuple[str, str]]:

@@ -6,9 +6,8 @@ The page of detections is that of their calibration; that of a file alone says w
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
-from camcal import files, messages
+from camcal import files
 from camcal.errors import InvalidInput
 from camcal.formats import cameras, detections, vnl
 from camcal.formats.camera_file import CameraEntry, CameraFile
@@ -114,16 +113,6 @@ def _report_file(options: ReportOptions, output: Path, progress: Progress) -> Re
     trustworthy = all(each.trustworthy for each in known) if len(known) == len(verdicts) else None
     failures = tuple(Message("untrustworthy", reason) for each in known for reason in each.reasons)
     return Reported(output, tuple(inspection.file.cameras), trustworthy, failures)
-
-
-def document(found: Reported) -> dict[str, Any]:
-    """Return what was written as plain data for --json."""
-    return {
-        "output": found.output,
-        "cameras": list(found.cameras),
-        "trustworthy": found.trustworthy,
-        "failures": messages.as_data(found.failures),
-    }
 
 
 def file_page(inspection: Inspection) -> str:

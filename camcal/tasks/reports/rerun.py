@@ -4,7 +4,7 @@ Two results agree if their figures differ by less than 1e-6 of their standard de
 """
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from math import hypot, isfinite
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from camcal import files
+from camcal import files, records
 from camcal.calibrate.rigs.record import Captures
 from camcal.errors import CamcalError, GateFailed, InsufficientData, InvalidInput, Located, NotConverged
 from camcal.formats import boards, documents, native
@@ -48,7 +48,7 @@ class Difference:
     name: str
     before: str
     after: str
-    sigmas: float = float("inf")
+    sigmas: float = field(default=float("inf"), metadata=records.OMITTED)
 
     @property
     def line(self) -> str:
@@ -217,9 +217,9 @@ def document(found: Rerun) -> dict[str, Any]:
     return {
         "same_bytes": found.same,
         "agrees": not found.differences,
-        "environment": list(found.environment),
-        "differences": [{"name": each.name, "before": each.before, "after": each.after} for each in found.differences],
-        "outputs": list(found.outputs),
+        "environment": found.environment,
+        "differences": found.differences,
+        "outputs": found.outputs,
     }
 
 

@@ -44,7 +44,7 @@ from camcal.tasks.options import (
     ReportFile,
     result_option,
 )
-from camcal.tasks.poses.track_options import Timing
+from camcal.tasks.poses.smooth_options import Timing
 from camcal.tasks.suggestions import lens_model_names, lens_models
 
 if TYPE_CHECKING:

@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from camcal.brief import Brief
 from camcal.calibrate.intrinsics import CandidateModel
 from camcal.calibrate.rigs.record import RigCalibration
 from camcal.cameras.validity import ImageCircle
@@ -15,6 +14,7 @@ from camcal.geometry.pose import Pose
 from camcal.messages import Message
 from camcal.quality.assess import Assessment
 from camcal.quality.projection_uncertainty import ProjectionUncertainty
+from camcal.records import Brief
 from camcal.report.rig import motion_data
 from camcal.tasks.calibration.camera_result import camera_entry, image_record, is_shaped
 from camcal.tasks.calibration.corner_refinement import RefinementSummary

@@ -26,9 +26,8 @@ from camcal.tasks.calibration.video_frames import FrameRecord, Video, summary
 from camcal.tasks.calibration.which_board import board_warnings, pattern_lines
 from camcal.tasks.poses.frame_times import frame_times
 from camcal.tasks.rigs.camera_inputs import SYNTAX, CameraInputs, cameras_of, split_by_name
-from camcal.tasks.rigs.matching import Matched, matched, unmatched_words
+from camcal.tasks.rigs.matching import Matched, matched, settled_together, survey_rig, unmatched_words
 from camcal.tasks.rigs.options import AUTO, TIME, RigSettings
-from camcal.tasks.rigs.rig_videos import settled_together, survey_rig
 
 
 @dataclass(frozen=True, eq=False)

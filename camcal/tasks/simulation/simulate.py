@@ -27,7 +27,7 @@ from camcal.images.files import save
 from camcal.options import command_line
 from camcal.progress import SILENT, Progress, require_all
 from camcal.run.fanout import fan_out
-from camcal.run.manifest import MANIFEST
+from camcal.run.fingerprint import MANIFEST
 from camcal.run.outputs import claim, owned, writes
 from camcal.run.paths import split_address
 from camcal.simulate import mosaics

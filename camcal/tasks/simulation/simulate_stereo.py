@@ -20,7 +20,7 @@ from camcal.progress import SILENT, Progress, require_all
 from camcal.run.fanout import fan_out
 from camcal.run.outputs import claim, owned, writes
 from camcal.simulate.stereo_scene import PairOptions, StereoTruth, render_pair
-from camcal.stereo.geometry import StereoGeometry, of_pair
+from camcal.stereo.disparity import StereoGeometry, of_pair
 from camcal.tasks.simulation import simulate
 from camcal.tasks.simulation.options import PairsOptions, SimulateOptions
 
@@ -194,12 +194,9 @@ def rig_file(options: SimulateOptions, pair: PairOptions) -> CameraFile:
 def document(report: StereoReport, options: SimulateOptions) -> dict[str, Any]:
     """Return the report as plain data for --json."""
     return {
-        "output": options.output.as_posix(),
-        "rig": report.rig.as_posix(),
-        "image_size": list(report.size),
-        "geometry": asdict(report.geometry),
-        "pairs": [
-            {name: value.as_posix() if isinstance(value, Path) else value for name, value in asdict(pair).items()}
-            for pair in report.pairs
-        ],
+        "output": options.output,
+        "rig": report.rig,
+        "image_size": report.size,
+        "geometry": report.geometry,
+        "pairs": report.pairs,
     }

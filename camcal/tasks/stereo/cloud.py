@@ -1,10 +1,10 @@
 """A disparity map and what is known of its pair, or an unrectified pair and its rig, to a point cloud."""
 
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,20 +17,26 @@ from camcal.images.files import load
 from camcal.messages import Message
 from camcal.parsing import parse_number
 from camcal.progress import SILENT, Collected, Progress, values_of, warn_of
+from camcal.records import OMITTED, entry
 from camcal.run.fanout import fan_out
 from camcal.run.paths import IMAGE_SUFFIXES, find_pairs, split_address
 from camcal.run.process import over_threads
-from camcal.stereo.disparity import Confidence
-from camcal.stereo.geometry import StereoGeometry
+from camcal.stereo.disparity import Confidence, StereoGeometry
 from camcal.stereo.points.cloud import CloudMaker, require_thinning, thinned
-from camcal.stereo.points.depth import StereoImage
-from camcal.stereo.points.frames import CAMERA, OPTICAL, UNITS, Frame, VertexStream, frame_named
+from camcal.stereo.points.frames import CAMERA, OPTICAL, UNITS, Frame, StereoImage, VertexStream, frame_named
 from camcal.stereo.points.selection import RADIUS, Selected, Selection, depth_figures, select
 from camcal.tasks.stereo import rectified_pair
-from camcal.tasks.stereo.cloud_options import CloudOptions, PointOptions, VertexOptions
-from camcal.tasks.stereo.pair_matching import Matched, PairImages, match_images, read_pair
 from camcal.tasks.stereo.rectified_pair import RectifiedPair, named_file, stereo_image
-from camcal.tasks.stereo.rig_pair import RigPair, require_rectified, unrectified_pair
+from camcal.tasks.stereo.rig_pair import (
+    Matched,
+    PairImages,
+    RigPair,
+    match_images,
+    read_pair,
+    require_rectified,
+    unrectified_pair,
+)
+from camcal.tasks.stereo.run_options import CloudOptions, PointOptions, VertexOptions
 
 GRIDS = (".pcd",)  # point clouds that can be organised as an image
 
@@ -55,13 +61,13 @@ class CloudReport:
     outliers: int
     scale: float
     geometry: StereoGeometry
-    depth: tuple[float, float, float] | None
+    depth: tuple[float, float, float] | None = field(metadata=entry("depth_m", parts=("min", "median", "max")))
     appearance: str
     frame: str
     unit: str
     fields: tuple[str, ...]
     calibration_known: bool
-    warnings: tuple[Message, ...] = ()
+    warnings: tuple[Message, ...] = field(default=(), metadata=OMITTED)
     reused: bool = False
 
 
@@ -311,24 +317,3 @@ def _report(
         fields=tuple(fields),
         calibration_known=image.calibration is not None,
     )
-
-
-def document(report: CloudReport) -> dict[str, Any]:
-    """Return the report as plain data for --json."""
-    names = ("min", "median", "max")
-    return {
-        "output": report.output.as_posix(),
-        "points": report.points,
-        "pixels": report.pixels,
-        "matched": report.matched,
-        "outliers": report.outliers,
-        "scale": report.scale,
-        "geometry": asdict(report.geometry),
-        "depth_m": dict(zip(names, report.depth, strict=True)) if report.depth else None,
-        "appearance": report.appearance,
-        "frame": report.frame,
-        "unit": report.unit,
-        "fields": list(report.fields),
-        "calibration_known": report.calibration_known,
-        "reused": report.reused,
-    }

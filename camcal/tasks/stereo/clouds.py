@@ -8,14 +8,14 @@ from typing import Any, NamedTuple
 
 from camcal.errors import FileError
 from camcal.formats import disparity, disparity_sidecar, pointclouds
-from camcal.progress import SILENT, Outcome, Progress, reused, warn_of
+from camcal.progress import SILENT, Outcome, Progress, failed_items, reused, warn_of
 from camcal.run import fingerprint
 from camcal.run.outputs import claim, writes
 from camcal.run.paths import find_pairs, place, require_there
 from camcal.run.resume import Items, resumable
-from camcal.tasks.stereo.cloud import GRIDS, CloudReport, document, make_cloud, rig_of_cloud
-from camcal.tasks.stereo.cloud_options import CloudOptions
+from camcal.tasks.stereo.cloud import GRIDS, CloudReport, make_cloud, rig_of_cloud
 from camcal.tasks.stereo.rig_pair import RigPair
+from camcal.tasks.stereo.run_options import CloudOptions
 
 _SUFFIX = ".ply"
 
@@ -148,9 +148,7 @@ def _image_of(item: _Item, folder: str) -> str:
 def folder_document(outcomes: list[Outcome[Path, CloudReport]]) -> dict[str, Any]:
     """Return what became of the maps as plain data for --json."""
     return {
-        "clouds": [document(outcome.value) for outcome in outcomes if outcome.value is not None],
+        "clouds": [outcome.value for outcome in outcomes if outcome.value is not None],
         "reused": reused(outcomes),
-        "failed": [
-            {"source": outcome.item.as_posix(), "message": str(outcome.error)} for outcome in outcomes if outcome.error
-        ],
+        "failed": failed_items(outcomes, "source"),
     }

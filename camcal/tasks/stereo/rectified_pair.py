@@ -23,9 +23,9 @@ from camcal.images.files import load
 from camcal.messages import Message
 from camcal.progress import SILENT, Progress
 from camcal.run.paths import split_address
-from camcal.stereo.geometry import StereoGeometry, of_pair, pinhole_intrinsics
+from camcal.stereo.disparity import StereoGeometry, of_pair, pinhole_intrinsics
 from camcal.stereo.points.calibration_error import CalibratedPair, CalibrationError, calibration_error
-from camcal.stereo.points.depth import StereoImage
+from camcal.stereo.points.frames import StereoImage
 from camcal.tasks.given_camera import read_camera_file, require_no_image
 from camcal.tasks.options import CAMERA_SUFFIXES, GivenCamera
 from camcal.tasks.stereo.options import GeometryOptions

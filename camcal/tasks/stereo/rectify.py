@@ -7,25 +7,24 @@ from typing import Any
 
 import numpy as np
 
-from camcal import files
+from camcal import files, records
 from camcal.errors import InvalidInput
 from camcal.formats import native, pair_calibration
 from camcal.formats.cameras import ros
 from camcal.images.files import load, save
 from camcal.images.video import frames
-from camcal.messages import as_data
 from camcal.options import command_line
-from camcal.progress import SILENT, Outcome, Progress, reused
+from camcal.progress import SILENT, Outcome, Progress, failed_items, reused
 from camcal.run.outputs import claim, writes
 from camcal.run.paths import find_media, paired, refuse_collisions, split_address
-from camcal.stereo.rectify.options import RectifiedViewOptions
+from camcal.stereo.options import RectifiedViewOptions
 from camcal.stereo.rectify.plan import PairMaps, build_pair_maps
 from camcal.stereo.rectify.record import Rectification
 from camcal.tasks.calibration.drawing import Drawing, Drawn, Sources, require_success
 from camcal.tasks.calibration.undistort import suffix_of
 from camcal.tasks.given_camera import require_no_image
-from camcal.tasks.stereo.rectify_options import RectifyOptions
 from camcal.tasks.stereo.rig_pair import GivenRig, read_rig, rectified_file
+from camcal.tasks.stereo.run_options import RectifyOptions
 
 CAMERA_FILE, MAPS_FILE, OPENCV_FILE, ROS_FOLDER = "rectified.yaml", "maps.npz", "opencv.yml", "ros"
 _FRAME_SUFFIX = ".jpg"
@@ -204,11 +203,7 @@ def document(report: RectifyReport) -> dict[str, Any]:
     """Return the report as plain data for --json."""
     found = report.rectification
     return {
-        "camera_file": report.beside.camera_file,
-        "masks": list(report.beside.masks),
-        "maps": report.beside.maps,
-        "opencv": report.beside.opencv,
-        "ros": list(report.beside.ros),
+        **records.document(report.beside),
         "projection": found.projection,
         "axis": found.axis,
         "left": found.left,
@@ -220,10 +215,10 @@ def document(report: RectifyReport) -> dict[str, Any]:
         "right_centre": found.right_centre,
         "baseline": found.baseline,
         "kept": found.kept,
-        "rect_R_left": np.asarray(found.rect_R_left).tolist(),
-        "rect_R_right": np.asarray(found.rect_R_right).tolist(),
-        "valid": dict(report.valid),
-        "warnings": as_data(found.warnings),
+        "rect_R_left": found.rect_R_left,
+        "rect_R_right": found.rect_R_right,
+        "valid": report.valid,
+        "warnings": found.warnings,
         "images": [
             {"camera": name, "source": outcome.item, "frame": drawn.frame, "output": drawn.output}
             for name, each in report.outcomes.items()
@@ -231,5 +226,5 @@ def document(report: RectifyReport) -> dict[str, Any]:
             if (drawn := outcome.value) is not None
         ],
         "reused": reused(report.images),
-        "failed": [{"source": outcome.item, "message": str(outcome.error)} for outcome in report.failed],
+        "failed": failed_items(report.failed, "source"),
     }

@@ -13,7 +13,7 @@ from camcal.arrays import Array
 from camcal.errors import CamcalError, GateFailed
 from camcal.images.files import gray_8bit, load
 from camcal.messages import Message
-from camcal.progress import SILENT, Outcome, Progress, warn_of
+from camcal.progress import SILENT, Outcome, Progress, failed_items, warn_of
 from camcal.report import stereo_words as words
 from camcal.report.stereo_pictures import SUFFIXES, picture_of
 from camcal.run.fanout import fan_out, only_outcome
@@ -22,9 +22,8 @@ from camcal.run.paths import find_pairs, place
 from camcal.stereo.pair.pair_check import PairCheck, check_pair
 from camcal.tasks.given_camera import Size
 from camcal.tasks.stereo.options import GeometryOptions, StereoCheckOptions
-from camcal.tasks.stereo.pair_matching import PairImages, read_pair
 from camcal.tasks.stereo.rectified_pair import RectifiedPair, pair_of, warn_of_file
-from camcal.tasks.stereo.rig_pair import RigPair, unrectified_pair
+from camcal.tasks.stereo.rig_pair import PairImages, RigPair, read_pair, unrectified_pair
 
 _SUFFIX = "_check.png"
 _STEP_PX = 1e-3  # of the row offsets that all pairs together are judged by
@@ -132,17 +131,12 @@ def document(outcomes: Sequence[Outcome[Pair, CheckedPair]]) -> dict[str, Any]:
     together = overall(outcomes)
     return {
         "pairs": [
-            _named(pair.left, pair.right) | words.plain(pair.check) | {"picture": pair.picture} for pair in checked
+            {"left": pair.left, "right": pair.right, **words.plain(pair.check), "picture": pair.picture}
+            for pair in checked
         ],
-        "overall": None if together is None else vars(together),
-        "failed": [
-            _named(*outcome.item) | {"message": str(outcome.error)} for outcome in outcomes if outcome.error is not None
-        ],
+        "overall": together,
+        "failed": failed_items(outcomes, "left", "right"),
     }
-
-
-def _named(left: Path, right: Path) -> dict[str, Any]:
-    return {"left": left.as_posix(), "right": right.as_posix()}
 
 
 def _pictures(pairs: Sequence[Pair], output: Path | None) -> Mapping[Path, Path]:

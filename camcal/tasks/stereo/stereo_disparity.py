@@ -1,22 +1,23 @@
 """`camcal stereo disparity`: rectified pairs to disparity maps with their files, figures and uncertainty."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from camcal import files
+from camcal import files, records
 from camcal.arrays import Array, PixelArray
 from camcal.errors import FileError, GateFailed, InvalidInput
 from camcal.formats import disparity as maps
 from camcal.formats import disparity_sidecar
 from camcal.formats.disparity_sidecar import Sidecar, SourceFile
 from camcal.images.files import load, save
-from camcal.messages import Message, as_data
-from camcal.progress import SILENT, Outcome, Progress, reused, warn_of
+from camcal.messages import Message
+from camcal.progress import SILENT, Outcome, Progress, failed_items, reused, warn_of
+from camcal.records import entry
 from camcal.report.stereo_pictures import disparity_picture, robust_range
 from camcal.run import fingerprint
 from camcal.run.outputs import claim, writes
@@ -24,9 +25,8 @@ from camcal.run.paths import find_pairs, place
 from camcal.run.resume import Items, resumable
 from camcal.stereo.disparity import Confidence, Disparity
 from camcal.tasks.stereo.options import ONNX, OWN, DisparityOptions
-from camcal.tasks.stereo.pair_matching import Matched, PairImages, match_images, read_pair
 from camcal.tasks.stereo.rectified_pair import pair_of, warn_of_file
-from camcal.tasks.stereo.rig_pair import RigPair, unrectified_pair
+from camcal.tasks.stereo.rig_pair import Matched, PairImages, RigPair, match_images, read_pair, unrectified_pair
 
 _KINDS = ("sigma.tiff", "confidence.png", "vis.png", "left.png")
 
@@ -61,14 +61,14 @@ class Figures:
     median of their standard deviations, pixels, None if unknown.
     """
 
-    size: tuple[int, int]
+    size: tuple[int, int] = field(metadata=entry("image_size"))
     searched: tuple[int, int]
     at_ends: tuple[float, float]
     matched: float
     filled: float
     classes: Mapping[str, float]
-    median: float | None
-    sigma: float | None
+    median: float | None = field(metadata=entry("median_px"))
+    sigma: float | None = field(metadata=entry("sigma_px"))
 
     @classmethod
     def of(cls, disparity: Disparity, pixels: int) -> "Figures":
@@ -334,32 +334,19 @@ def document(outcomes: Sequence[Outcome[Pair, MatchedPair]]) -> dict[str, Any]:
     return {
         "pairs": [_plain(pair) for pair in matched],
         "reused": reused(outcomes),
-        "failures": as_data(failures(outcomes)),
-        "failed": [
-            {"left": left.as_posix(), "right": right.as_posix(), "message": str(outcome.error)}
-            for outcome in outcomes
-            if outcome.error is not None
-            for left, right in (outcome.item,)
-        ],
+        "failures": failures(outcomes),
+        "failed": failed_items(outcomes, "left", "right"),
     }
 
 
 def _plain(pair: MatchedPair) -> dict[str, Any]:
-    figures = pair.figures
     return {
-        "left": pair.left.as_posix(),
-        "right": pair.right.as_posix(),
-        "output": pair.output.as_posix(),
-        "sidecar": disparity_sidecar.path_beside(pair.output).as_posix(),
-        "picture": None if pair.picture is None else pair.picture.as_posix(),
-        "image_size": list(figures.size),
-        "searched": list(figures.searched),
-        "at_ends": list(figures.at_ends),
-        "matched": figures.matched,
-        "filled": figures.filled,
-        "classes": dict(figures.classes),
-        "median_px": figures.median,
-        "sigma_px": figures.sigma,
+        "left": pair.left,
+        "right": pair.right,
+        "output": pair.output,
+        "sidecar": disparity_sidecar.path_beside(pair.output),
+        "picture": pair.picture,
+        **records.document(pair.figures),
         "rows_px": pair.rows,
         "scale": pair.scale,
         "geometry": pair.geometry_known,

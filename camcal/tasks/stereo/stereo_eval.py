@@ -4,7 +4,7 @@ There is one map and one truth, or folders of both.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -19,12 +19,12 @@ from camcal.formats.disparity_sidecar import Sidecar
 from camcal.images.files import load, save
 from camcal.messages import Message
 from camcal.parsing import did_you_mean
-from camcal.progress import SILENT, Collected, Outcome, Progress, warn_of
+from camcal.progress import SILENT, Collected, Outcome, Progress, failed_items, warn_of
 from camcal.report.stereo_pictures import error_picture
 from camcal.run.fanout import fan_out, only_outcome
 from camcal.run.outputs import claim, writes
 from camcal.run.paths import paired, place, require_there
-from camcal.stereo.geometry import StereoGeometry
+from camcal.stereo.disparity import StereoGeometry
 from camcal.stereo.truth import (
     AT_LEAST,
     FIGURES,
@@ -323,12 +323,8 @@ def document(report: EvalReport) -> dict[str, Any]:
     return {
         "pairs": [_pair_document(pair) for pair in report.pairs],
         "mean": _figures(report.mean),
-        "gates": [asdict(verdict) for verdict in report.verdicts],
-        "failed": [
-            {"disparity": outcome.item.disparity.as_posix(), "message": str(outcome.error)}
-            for outcome in report.outcomes
-            if outcome.error
-        ],
+        "gates": report.verdicts,
+        "failed": failed_items([outcome.of(outcome.item.disparity) for outcome in report.outcomes], "disparity"),
         **figure_data(report.figures),
     }
 
@@ -336,23 +332,19 @@ def document(report: EvalReport) -> dict[str, Any]:
 def _pair_document(pair: PairReport) -> dict[str, Any]:
     curve = pair.evaluation.sparsification
     return {
-        **{name: path.as_posix() for name, path in pair.files.files.items()},
+        **pair.files.files,
         "scale": pair.scale,
         "truth_scale": pair.truth_scale,
         "occlusion": pair.occlusion,
-        "geometry": asdict(pair.geometry) if pair.geometry else None,
-        "picture": pair.picture.as_posix() if pair.picture else None,
+        "geometry": pair.geometry,
+        "picture": pair.picture,
         **_figures(pair.evaluation),
         "sparsification": {"by_sigma": curve.by_sigma, "by_error": curve.by_error} if curve else None,
     }
 
 
 def _figures(evaluation: Evaluation) -> dict[str, Any]:
-    return {
-        "pixels": dict(evaluation.pixels),
-        "figures": {column: dict(figures) for column, figures in evaluation.figures.items()},
-        "classes": [asdict(kind) for kind in evaluation.classes],
-    }
+    return {"pixels": evaluation.pixels, "figures": evaluation.figures, "classes": evaluation.classes}
 
 
 def truth_pairs(given: TruthPair) -> list[TruthPair]:

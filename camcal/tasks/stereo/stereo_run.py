@@ -11,7 +11,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from camcal import files, messages
+from camcal import files, records
 from camcal.arrays import PixelArray
 from camcal.errors import GateFailed, InsufficientData, InvalidInput, ItemsFailed
 from camcal.formats import native
@@ -20,7 +20,7 @@ from camcal.images import video
 from camcal.images.files import load, save
 from camcal.messages import Message
 from camcal.options import command_line
-from camcal.progress import SILENT, Collected, Outcome, Progress, reused, warn_of
+from camcal.progress import SILENT, Collected, Outcome, Progress, failed_items, reused, warn_of
 from camcal.report import cloud_view, stereo_words
 from camcal.report.cloud_scene import gather
 from camcal.report.cloud_view import Start
@@ -35,11 +35,18 @@ from camcal.tasks.rigs.calibrate_rig import calibrated
 from camcal.tasks.rigs.rig_result import RigReport
 from camcal.tasks.rigs.rig_views import rig_views
 from camcal.tasks.stereo.cloud import CloudReport, require_points, source_of_match, write_points
-from camcal.tasks.stereo.cloud_options import CloudOptions
 from camcal.tasks.stereo.options import PAGE, DisparityOptions
-from camcal.tasks.stereo.pair_matching import PairImages, match_images, rectified_pair
-from camcal.tasks.stereo.rig_pair import GivenRig, RigPair, read_rig, rectified_file, rig_pair
-from camcal.tasks.stereo.run_options import RunOptions
+from camcal.tasks.stereo.rig_pair import (
+    GivenRig,
+    PairImages,
+    RigPair,
+    match_images,
+    read_rig,
+    rectified_file,
+    rectified_pair,
+    rig_pair,
+)
+from camcal.tasks.stereo.run_options import CloudOptions, RunOptions
 from camcal.tasks.stereo.stereo_check import check_images
 from camcal.tasks.stereo.stereo_disparity import Figures, MapFiles, for_png, write_map
 from camcal.tasks.stereo.view import MOST_POINTS, cloud_in
@@ -328,47 +335,37 @@ def document(report: RunReport) -> dict[str, Any]:
     """Return the report as plain data for --json."""
     rectified = report.rectification
     return {
-        "rig": report.rig_file.as_posix(),
-        "rectified": report.rectified_file.as_posix(),
+        "rig": report.rig_file,
+        "rectified": report.rectified_file,
         "calibrated": report.calibration is not None,
         "trustworthy": None if report.calibration is None else report.calibration.trustworthy,
         "projection": rectified.projection,
         "axis": rectified.axis,
-        "image_size": list(rectified.size),
+        "image_size": rectified.size,
         "baseline_m": rectified.baseline,
         "left": rectified.left,
         "right": rectified.right,
         "pairs": [_plain(pair) for pair in report.pairs],
         "reused": reused(report.outcomes),
-        "failures": messages.as_data(report.failures),
-        "failed": [
-            {
-                "left": outcome.item.left.as_posix(),
-                "right": outcome.item.right.as_posix(),
-                "message": str(outcome.error),
-            }
-            for outcome in report.outcomes
-            if outcome.error is not None
-        ],
+        "failures": report.failures,
+        "failed": failed_items(report.outcomes, "left", "right"),
     }
 
 
 def _plain(pair: RunPair) -> dict[str, Any]:
-    names = ("min", "median", "max")
+    cloud = records.document(pair.cloud)
     return {
         "name": pair.capture.name,
-        "left": pair.capture.left.as_posix(),
-        "right": pair.capture.right.as_posix(),
-        "rectified": [pair.files.left.as_posix(), pair.files.right.as_posix()],
-        "disparity": pair.files.map.as_posix(),
-        "cloud": pair.files.cloud.as_posix(),
-        "page": None if pair.page is None else pair.page.as_posix(),
+        "left": pair.capture.left,
+        "right": pair.capture.right,
+        "rectified": [pair.files.left, pair.files.right],
+        "disparity": pair.files.map,
+        "cloud": pair.files.cloud,
+        "page": pair.page,
         "check": None if pair.check is None else stereo_words.plain(pair.check),
         "matched": pair.figures.matched,
         "median_px": pair.figures.median,
         "sigma_px": pair.figures.sigma,
-        "points": pair.cloud.points,
-        "depth_m": dict(zip(names, pair.cloud.depth, strict=True)) if pair.cloud.depth else None,
-        "frame": pair.cloud.frame,
-        "warnings": messages.as_data(pair.warnings),
+        **{name: cloud[name] for name in ("points", "depth_m", "frame")},
+        "warnings": pair.warnings,
     }

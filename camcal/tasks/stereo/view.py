@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from math import pi, radians
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
 
 import numpy as np
 
@@ -21,7 +20,7 @@ from camcal.formats.disparity import DisparityMap
 from camcal.formats.disparity_sidecar import Sidecar
 from camcal.geometry.pose import rotation_of
 from camcal.images.files import save
-from camcal.images.npy import names_in
+from camcal.images.image import names_in
 from camcal.progress import SILENT, Progress
 from camcal.report import cloud_view
 from camcal.report.cloud_scene import CloudScene, gather, turn, view_of
@@ -204,20 +203,6 @@ _MAKERS = {
     RECORDING: _write_recording,
     WINDOW: _open_window,
 }
-
-
-def document(report: ViewReport) -> dict[str, Any]:
-    """Return the report as plain data for --json."""
-    return {
-        "output": report.output.as_posix() if report.output else None,
-        "kind": report.kind,
-        "colour": report.colour,
-        "points": report.points,
-        "shown": report.shown,
-        "outside": report.outside,
-        "unit": report.unit,
-        "frame": report.frame,
-    }
 
 
 def is_cloud(path: Path) -> bool:

@@ -15,9 +15,8 @@ from camcal.errors import InvalidInput
 from camcal.run.process import over_threads
 from camcal.simulate.stereo_scene import PairOptions, render_pair
 from camcal.stereo.disparity import Confidence
-from camcal.stereo.matching.match import match
+from camcal.stereo.matching.match import UNMODELLED, match
 from camcal.stereo.matching.preparation import prepare
-from camcal.stereo.matching.uncertainty import UNMODELLED
 from camcal.stereo.options import ALL, BACKGROUND, BALANCED, BEST, FAST, FILLS, NOTHING, QUALITIES, MatchOptions
 
 LAYERS = layered_pair()

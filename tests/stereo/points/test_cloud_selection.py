@@ -5,10 +5,8 @@ import pytest
 
 from camcal.errors import InvalidInput
 from camcal.run.process import over_threads
-from camcal.stereo.disparity import Confidence
-from camcal.stereo.geometry import StereoGeometry
-from camcal.stereo.points.depth import StereoImage
-from camcal.stereo.points.frames import Frame, frame_named
+from camcal.stereo.disparity import Confidence, StereoGeometry
+from camcal.stereo.points.frames import Frame, StereoImage, frame_named
 from camcal.stereo.points.selection import Selection, select
 
 GEOMETRY = StereoGeometry(fx=100.0, fy=100.0, cx=1.0, cy=0.0, baseline=0.84)

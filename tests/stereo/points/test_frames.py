@@ -6,7 +6,7 @@ import pytest
 from camcal.errors import InvalidInput
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
-from camcal.stereo.geometry import StereoGeometry
+from camcal.stereo.disparity import StereoGeometry
 from camcal.stereo.points.frames import FRAMES, BackProjection, Frame, frame_named
 
 POINT = np.array([1.0, 2.0, 10.0])  # to the right, below, ahead

@@ -6,8 +6,8 @@ from rigs import NARROW, PLAIN, WIDE, camera, placed
 
 from camcal.errors import InsufficientData
 from camcal.geometry import rotation as so3
+from camcal.stereo.options import RectifiedViewOptions
 from camcal.stereo.rectify.field import extent
-from camcal.stereo.rectify.options import RectifiedViewOptions
 from camcal.stereo.rectify.plan import plan_rectification
 
 BESIDE = placed((0.1, 0, 0))

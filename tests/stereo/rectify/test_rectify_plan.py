@@ -10,7 +10,7 @@ from rigs import NARROW, PLAIN, WIDE, camera, common_points, inside, placed, rec
 from camcal.cameras.validity import ImageCircle
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.geometry.pose import Pose
-from camcal.stereo.rectify.options import RectifiedViewOptions
+from camcal.stereo.options import RectifiedViewOptions
 from camcal.stereo.rectify.plan import plan_rectification
 
 NAMES = ("one", "two")

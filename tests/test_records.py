@@ -1,14 +1,18 @@
-"""What the records of the library show of themselves in a notebook, and what they say of names that do not exist."""
+"""What records show of themselves in a notebook, what they say of names that do not exist, and their documents."""
 
 from collections.abc import Mapping
-from dataclasses import fields, is_dataclass
+from dataclasses import dataclass, field, fields, is_dataclass
+from pathlib import Path
 
 import numpy as np
 import pytest
 from report_scenes import SCENES, detections_of
 
 import camcal
-from camcal.brief import ELSEWHERE, Brief
+from camcal import records
+from camcal.cli.show import plain
+from camcal.progress import Outcome, failed_items
+from camcal.records import ELSEWHERE, MERGED, OMITTED, Brief, entry
 
 LONGEST = 500
 
@@ -122,3 +126,50 @@ def test_a_pose_comes_from_its_matrix(results):
     for wrong in (np.eye(3), np.diag([1.0, 1.0, 1.0, 2.0])):
         with pytest.raises(camcal.InvalidInput, match="not a homogeneous matrix"):
             camcal.Pose.from_matrix(wrong)
+
+
+@dataclass(frozen=True)
+class Size:
+    width: float = field(metadata=entry("width_mm", 1e3))
+    depth: tuple[float, float] | None = field(default=None, metadata=entry("depth_m", parts=("min", "max")))
+
+
+@dataclass(frozen=True)
+class Part:
+    name: str
+    size: Size
+    turned: tuple[float, float] = field(metadata=entry("turned_deg", (1.0, 2.0), parts=("x", "y")))
+    inner: Size = field(metadata=MERGED)
+    path: Path = Path("a") / "b"
+    note: str = field(default="", metadata=OMITTED)
+
+
+PART = Part("lens", Size(0.5), (3.0, 4.0), Size(0.25, (1.0, 2.0)), note="not said")
+
+
+def test_a_document_has_the_names_units_and_order_that_the_fields_of_its_record_say():
+    said = {
+        "name": "lens",
+        "size": {"width_mm": 500.0, "depth_m": None},
+        "turned_deg": {"x": 3.0, "y": 8.0},
+        "width_mm": 250.0,
+        "depth_m": {"min": 1.0, "max": 2.0},
+        "path": "a/b",
+    }
+    assert plain(PART) == said
+    assert list(records.document(PART)) == list(said)
+    assert plain({"parts": (PART,), "kind": np.float64(1)}) == {"parts": [said], "kind": 1.0}
+
+
+def test_figures_are_the_fields_that_say_how_they_are_written():
+    assert records.figures(PART.inner) == {"width_mm": 250.0, "depth_m": {"min": 1.0, "max": 2.0}}
+    assert list(records.entries(Size)) == ["width", "depth"]
+
+
+def test_items_that_failed_are_named_with_their_errors():
+    error = camcal.FileError("is empty")
+    outcomes = [Outcome(Path("a"), 1), Outcome(Path("b"), error=error), Outcome((Path("c"), Path("d")), error=error)]
+    assert failed_items(outcomes[:2], "source") == [{"source": Path("b"), "message": "is empty"}]
+    assert failed_items(outcomes[2:], "left", "right") == [
+        {"left": Path("c"), "right": Path("d"), "message": "is empty"}
+    ]
