@@ -11,7 +11,6 @@ from math import inf, sqrt
 import numpy as np
 
 from camcal.arrays import Array, BoolArray, FloatArray, readonly
-from camcal.brief import Brief
 from camcal.cameras.directions import camera_axes, direction_displacements, lens_difference
 from camcal.cameras.model import Camera, resized
 from camcal.cameras.validity import ImageCircle
@@ -35,7 +34,7 @@ _ZOOM, _SHIFT = 0.03, 0.03  # of the focal length, of the image's diagonal: more
 
 
 @dataclass(frozen=True, eq=False)
-class Calibrated(Brief):
+class Calibrated:
     """A camera, what messages call it, and what is known of its calibration.
 
     region: (N, 2) px, the part of the image in which its verdict holds, None if it is not known. views: of its
@@ -51,7 +50,7 @@ class Calibrated(Brief):
 
 
 @dataclass(frozen=True)
-class Excess(Brief):
+class Excess:
     """A difference in terms of its uncertainty.
 
     sigmas: its root mean square in standard deviations, about 1 for two calibrations of one camera. chance: of a larger
@@ -65,7 +64,7 @@ class Excess(Brief):
 
 
 @dataclass(frozen=True, eq=False)
-class CameraComparison(Brief):
+class CameraComparison:
     """The difference of two cameras over the image of the first.
 
     u, v: (columns,), (rows,) of the grid, px of the first camera. distances: (D,) m, infinity for directions.

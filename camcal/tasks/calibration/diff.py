@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from camcal import files
-from camcal.brief import Brief
 from camcal.cameras.model import Camera
 from camcal.errors import InvalidInput
 from camcal.formats import cameras
@@ -35,7 +34,7 @@ COLUMNS = (
 
 
 @dataclass(frozen=True, eq=False)
-class DiffReport(Brief):
+class DiffReport:
     """The cameras that were compared with the first, by their names: FILE, or FILE#NAME of a file with several."""
 
     first: str
