@@ -41,7 +41,7 @@ LINES = {
     "solve": 1707,
     "stereo": 5101,
     "system": 271,
-    "targets": 7061,
+    "targets": 7063,
     "tasks": 22430,
     "urls": 99,
 }
