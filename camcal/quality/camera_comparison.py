@@ -28,6 +28,7 @@ WORDS = {
 }
 CHANCE = 1e-3  # of two calibrations of one camera to be told apart
 _FLOOR = 0.01  # of the variance of a difference: less along a direction is not relied on
+_LEAST = 1e-6  # of the mean variance over the image, of a pixel that hardly moves
 _RANK = 1e-6  # of changes of a camera's axes: less is a rotation
 _EQUAL_PX = 1e-3  # RMS: the same lens, written in another way
 _ZOOM, _SHIFT = 0.03, 0.03  # of the focal length, of the image's diagonal: more is no lens that moved
@@ -185,6 +186,7 @@ def compare(
     ]
     variances = np.sum(np.concatenate(moving, axis=2) ** 2, axis=(1, 2))
     result = replace(result, std=np.sqrt(variances / 2).reshape(shape))
+    variances = np.maximum(variances, _LEAST * np.mean(variances[chosen]))
     axes, *flat = (
         (each[chosen] / np.sqrt(variances[chosen, None, None])).reshape(2 * int(chosen.sum()), -1)
         for each in (camera_axes(one, pixels, chosen, away), *moving, found[:, :, None])
@@ -239,12 +241,12 @@ def _excess(flat: Sequence[Array], views: Sequence[float]) -> Excess:
 
 def _judge(total: Excess, rest: Excess, found: CameraComparison) -> tuple[str, str]:
     """Return the verdict on a difference, and why."""
-    reason = f"the difference is {total.sigmas:.2g} times its standard deviation"
+    reason = f"the difference is {total.sigmas:.1f} times its standard deviation"
     if total.chance >= CHANCE:
         return SAME, reason
     shift, diagonal = found.shift, float(np.hypot(found.u[-1], found.v[-1]))
-    reason += f"; focal length {100 * found.focal:+.2g} %, principal point by ({shift[0]:+.1f}, {shift[1]:+.1f}) px"
+    reason += f"; focal length {100 * found.focal:+.2f} %, principal point by ({shift[0]:+.1f}, {shift[1]:+.1f}) px"
     if rest.chance < CHANCE:
-        return OTHER, f"{reason}, and distortion differs by {rest.sigmas:.2g} times its standard deviation"
+        return OTHER, f"{reason}, and distortion differs by {rest.sigmas:.1f} times its standard deviation"
     moved = abs(found.focal) <= _ZOOM and np.hypot(*shift) <= _SHIFT * diagonal
     return MOVED if moved else OTHER, reason

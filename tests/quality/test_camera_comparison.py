@@ -64,7 +64,7 @@ def test_another_focal_length_or_principal_point_is_a_lens_that_moved():
     assert found.verdict == MOVED
     assert found.focal == pytest.approx(0.01)
     assert found.shift == (3.0, 0.0)
-    assert "focal length +1 %, principal point by (+3.0, +0.0) px" in found.words
+    assert "focal length +1.00 %, principal point by (+3.0, +0.0) px" in found.words
     assert found.distortion.chance > 1e-3 > found.total.chance
 
 
@@ -117,3 +117,12 @@ def test_only_where_both_cameras_are_known_is_compared():
     assert pixels[:, 0].max() < 645
     assert np.hypot(*(pixels - (640, 480)).T).max() < 420
     assert found.compared.any()
+
+
+def test_pixels_that_do_not_move_with_what_is_uncertain_do_no_harm():
+    def camera(focal):
+        known = np.diag([0.25, 0, 0, 0])
+        return Calibrated("a.yaml", Camera(model_named("pinhole"), (801, 601), [focal, 800.0, 400.0, 300.0], known))
+
+    assert compare(camera(800.0), camera(800.5)).verdict == SAME
+    assert compare(camera(800.0), camera(820.0)).verdict == OTHER  # fx without fy is no zoom

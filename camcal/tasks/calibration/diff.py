@@ -158,7 +158,7 @@ def rows(report: DiffReport) -> list[list[object]]:
             own = each.figures(index)
             figures = [own["compared_rms_px"], own["compared_worst_px"], own["std_px"]]
             shown = ["" if value is None else f"{value:.3g}" for value in figures]
-            sigmas = "" if each.total is None else f"{each.total.sigmas:.2g}"
+            sigmas = "" if each.total is None else f"{each.total.sigmas:.2f}"
             table.append([name, _at(distance), *shown, "" if index else sigmas, "" if index else each.words])
     return table
 
