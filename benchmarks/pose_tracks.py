@@ -3,10 +3,12 @@
 Videos are those of `tracking_scenes`: four kinds of motion × tags of 20, 45 and 100 px and boards of 54 corners × clean
 and dirty. A frame counts if it shows the target; it is wrong if the pose is more than 10° off or missing. `choice` is
 the pose of the single frame that is nearer to the truth: nobody can choose better without the other frames. `poses` is
-the filter that knows the poses of single frames only, as `camcal track POSES` has them. Coverage is the share of the
-right poses inside their 95 % region.
+the filter that knows the poses of single frames only, as `camcal track POSES` has them; a frame of which all poses are
+wrong tells it nothing, and is missing. `filled` is the same with --fill, which gives such frames the smoothed pose.
+Coverage is the share of the right poses inside their 95 % region. Stated: the mean probability of a wrong pose that is
+given, of the poses given, and how many of them are wrong.
 
-Run: python benchmarks/pose_tracks.py [--seeds 200 202] [--frames 300] [--modes poses,batch,lag,causal]
+Run: python benchmarks/pose_tracks.py [--seeds 200 202] [--frames 300] [--modes poses,filled,batch,lag,causal]
 """
 
 import argparse
@@ -41,6 +43,7 @@ class Scored:
     """
 
     wrong: float
+    missing: float
     coverage: float
     verdict: str
     milliseconds: float
@@ -86,7 +89,9 @@ def scored(video: Video, track: Track, seconds: float) -> Scored:
     doubts = np.stack([track.p_wrong[frames][given], ~right[given]], axis=1)
     verdict = track.consistency.verdict if track.consistency else "none"
     coverage = float(np.mean(distance < REGION)) if right.any() else float("nan")
-    return Scored(float(np.mean(~right)), coverage, verdict, 1e3 * seconds / len(video.stamps), doubts)
+    return Scored(
+        float(np.mean(~right)), float(np.mean(~given)), coverage, verdict, 1e3 * seconds / len(video.stamps), doubts
+    )
 
 
 def run(video: Video, modes: Sequence[str]) -> dict[str, float | Scored]:
@@ -98,12 +103,12 @@ def run(video: Video, modes: Sequence[str]) -> dict[str, float | Scored]:
         begun = time.process_time()
         try:
             track = (
-                track_poses(video.stamps, poses, TrackOptions())
-                if mode == "poses"
+                track_poses(video.stamps, poses, TrackOptions(fill=mode == "filled"))
+                if mode in ("poses", "filled")
                 else track_views(CAMERA, video.stamps, views, poses, TrackOptions(lag=MODES[mode]))
             )
         except InsufficientData:
-            result[mode] = Scored(1.0, float("nan"), "none", float("nan"), np.zeros((0, 2)))
+            result[mode] = Scored(1.0, 1.0, float("nan"), "none", float("nan"), np.zeros((0, 2)))
             continue
         result[mode] = scored(video, track, time.process_time() - begun)
     return result
@@ -132,6 +137,8 @@ def table(results: Sequence[tuple[Video, dict[str, float | Scored]]], modes: Seq
         cost = np.nanmedian([each.milliseconds for each in told])
         print(f"{mode}: {unsaid} videos wrong in more than 5 % and called consistent; {cost:.1f} ms a frame (median)")
         doubts = np.concatenate([each.doubts for each in told])
+        missing, (said, was) = percent([each.missing for each in told]), 100 * doubts.mean(axis=0)
+        print(f"  missing {missing} %; of the poses given: stated {said:.1f} %, wrong {was:.1f} %")
         bounds = (0.0, 0.01, 0.1, 0.3, 0.5, 1.01)
         for low, high in pairwise(bounds):
             inside = doubts[(doubts[:, 0] >= low) & (doubts[:, 0] < high)]
@@ -148,7 +155,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seeds", type=int, nargs=2, default=(200, 202), metavar=("FIRST", "END"))
     parser.add_argument("--frames", type=int, default=300)
-    parser.add_argument("--modes", default="poses,batch,lag,causal")
+    parser.add_argument("--modes", default="poses,filled,batch,lag,causal")
     parser.add_argument("--verbose", action="store_true")
     options = parser.parse_args()
     modes = options.modes.split(",")

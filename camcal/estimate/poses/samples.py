@@ -169,6 +169,10 @@ class _Scorer:
         rows = np.ones((13, len(states)), np.float32)
         rows[:12] = states.reshape(-1, 12).T
         with np.errstate(all="ignore"):
-            u, v, depth = (self.factors @ rows).reshape(3, len(self.factors) // 3, len(states))
-            squared = (u * u + v * v) / np.square(np.maximum(depth, 0.0))
-            return np.asarray(np.fmin(squared, self.limit).sum(axis=0))
+            seen = (self.factors @ rows).reshape(3, len(self.factors) // 3, len(states))
+            squared, v, depth = seen
+            np.maximum(depth, 0.0, out=depth)
+            np.square(seen, out=seen)  # in place: new arrays of this size cost more than what is computed
+            squared += v
+            squared /= depth
+            return np.asarray(np.fmin(squared, self.limit, out=squared).sum(axis=0))

@@ -3,6 +3,8 @@
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -24,16 +26,25 @@ from camcal.tasks.rigs.inspect_rig import as_data as rig_data
 
 @dataclass(frozen=True, eq=False)
 class Inspection:
-    """A camera file: the document as it stands, the records it makes, the cameras that were asked for.
+    """A camera file: the records it makes, the cameras that were asked for.
 
     fields: horizontal, vertical and diagonal field of view of each camera, degrees. rig: what the cameras make
     together, None where they are no rig.
     """
 
-    document: documents.Document
+    path: Path
     file: CameraFile
     fields: Mapping[str, tuple[float, float, float]]
     rig: RigInspection | None = None
+
+    @cached_property
+    def document(self) -> documents.Document:
+        """The document as it stands, read only where it is asked for; of another program's file what camcal would write
+        of it.
+        """
+        if cameras.format_of(self.path).name == cameras.OWN:
+            return documents.load(self.path)
+        return documents.Document(str(self.path), emit.plain(native.block(self.file, self.path)), {})
 
 
 @writes
@@ -41,15 +52,9 @@ def inspect(options: InspectOptions) -> Inspection:
     """Return what a camera file holds, after drawing the rig to options.output, if that is given.
 
     Raises InvalidInput or FileError as `cameras.read` does, InvalidInput for a picture of what is no rig.
-
-    The document of a file of another program is what camcal would write of it.
     """
     path, camera = options.address
     file = cameras.read(path)
-    foreign = cameras.format_of(path).name != cameras.OWN
-    document = (
-        documents.Document(str(path), emit.plain(native.block(file, path)), {}) if foreign else documents.load(path)
-    )
     if camera is not None:
         cameras.select(file, camera, str(path))
     names = list(file.cameras) if camera is None else [camera]
@@ -58,7 +63,7 @@ def inspect(options: InspectOptions) -> Inspection:
         if rig is None:
             raise InvalidInput("no picture: it needs a file of several cameras that transforms join", where=str(path))
         draw_rig(rig, options.output)
-    return Inspection(document, file, {name: _field_deg(file.cameras[name]) for name in names}, rig)
+    return Inspection(path, file, {name: _field_deg(file.cameras[name]) for name in names}, rig)
 
 
 def _field_deg(entry: CameraEntry) -> tuple[float, float, float]:
