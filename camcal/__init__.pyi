@@ -66,6 +66,7 @@ from camcal.images.options import ViewOptions as ViewOptions
 from camcal.images.remap import build_maps as build_maps
 from camcal.images.views import make_view as make_view
 from camcal.messages import Message as Message
+from camcal.quality.camera_comparison import CameraComparison as CameraComparison
 from camcal.quality.projection_uncertainty import projection_covariances as projection_covariances
 from camcal.raw.demosaic import demosaic as demosaic
 from camcal.raw.develop import develop as develop
@@ -90,6 +91,7 @@ from camcal.targets.detection import BoardDetection as BoardDetection
 from camcal.targets.detection import Detections as Detections
 from camcal.targets.markers import detect_markers as detect_markers
 from camcal.tasks.calibration.camera_result import CalibrateReport as CalibrateReport
+from camcal.tasks.calibration.diff import compare_cameras as compare_cameras
 from camcal.tasks.calibration.options import CalibrateOptions as CalibrateOptions
 from camcal.tasks.calibration.options import DetectOptions as DetectOptions
 from camcal.tasks.library import PointCloud as PointCloud
@@ -114,6 +116,7 @@ __all__ = [
     "Calibration",
     "CamcalError",
     "Camera",
+    "CameraComparison",
     "CameraFile",
     "CameraModel",
     "CloudMaker",
@@ -163,6 +166,7 @@ __all__ = [
     "build_maps",
     "build_pair_maps",
     "calibrate_camera",
+    "compare_cameras",
     "demosaic",
     "detect_board",
     "detect_markers",

@@ -7,6 +7,7 @@ what the camera measures. The rotation that best undoes a change of the paramete
 import numpy as np
 
 from camcal.arrays import Array
+from camcal.cameras.lens import ProjectionJacobians
 from camcal.cameras.model import Camera
 from camcal.geometry import rotation as so3
 
@@ -16,15 +17,18 @@ _ROUNDING_PX = 1e-3  # of corners of a hull, in single precision
 _TURNS = 4  # linear steps to the rotation between two lenses
 
 
-def direction_displacements(camera: Camera, pixels: Array, fitted: Array | None = None) -> Array:
+def direction_displacements(
+    camera: Camera, pixels: Array, fitted: Array | None = None, distances: Array | None = None
+) -> Array:
     """Return the displacements (N, 2, K), px per unit of every lens parameter, of the directions seen at pixels (N, 2).
 
     fitted: (N,) bool, the pixels over which the rotation is the least-squares one, all with the same weight: those that
     a calibration has measured, as pixels to which the lens is extrapolated must not turn it. It is that over all pixels
-    where `fitted` is None or holds less than ten of them. NaN where the lens is not valid.
+    where `fitted` is None or holds less than ten of them. distances: (N,) of points in place of directions; a rigid
+    motion of them is taken out then. NaN where the lens is not valid.
     """
-    by_lens, _, by_rotation = _jacobians(camera, pixels)
-    return _without_rotation(by_lens, by_rotation, fitted)
+    by_lens, _, by_motion = _jacobians(camera, pixels, distances)
+    return _without_motion(by_lens, by_motion, fitted)
 
 
 def point_displacements(camera: Camera, pixels: Array, distance: float, fitted: Array | None = None) -> Array:
@@ -34,50 +38,73 @@ def point_displacements(camera: Camera, pixels: Array, distance: float, fitted: 
     `direction_displacements`.
     """
     by_lens, by_point, by_rotation = _jacobians(camera, pixels)
-    return _without_rotation(np.concatenate([by_lens, by_point / distance], axis=2), by_rotation, fitted)
+    return _without_motion(np.concatenate([by_lens, by_point / distance], axis=2), by_rotation, fitted)
 
 
-def lens_difference(camera: Camera, other: Camera, pixels: Array, fitted: Array | None = None) -> Array:
+def lens_difference(
+    camera: Camera, other: Camera, pixels: Array, fitted: Array | None = None, distances: Array | None = None
+) -> Array:
     """Return by how much (N, 2), px, another camera images the directions elsewhere that one sees at pixels (N, 2),
-    after the rotation that best undoes that; fitted, NaN: as of `direction_displacements`, for either lens.
+    after the rotation that best undoes that; fitted, distances, NaN: as of `direction_displacements`, for either lens.
     """
     rays = camera.unproject(pixels).directions
+    points = rays if distances is None else rays * distances[:, None]
     for _ in range(_TURNS):
-        found = other.model.project_with_jacobians(other.parameters, rays)
-        apart, by_rotation = (found.pixels - pixels)[:, :, None], found.d_point @ -so3.hat(rays)
-        chosen = _select_fitted(apart, by_rotation, fitted)
-        rays = rays @ so3.exp(_rotations(apart[chosen], by_rotation[chosen])[:, 0])  # by its inverse
-    return np.asarray(_without_rotation(apart, by_rotation, fitted)[:, :, 0])
+        found = other.model.project_with_jacobians(other.parameters, points)
+        apart, by_motion = (found.pixels - pixels)[:, :, None], _by_motion(found, points, near=distances is not None)
+        chosen = _select_fitted(apart, by_motion, fitted)
+        step = _best_motions(apart[chosen], by_motion[chosen])[:, 0]
+        points = points @ so3.exp(step[:3])  # by its inverse
+        if distances is not None:
+            points = points - step[3:]
+    return np.asarray(_without_motion(apart, by_motion, fitted)[:, :, 0])
 
 
-def _select_fitted(moved: Array, by_rotation: Array, fitted: Array | None) -> Array:
-    """Return the pixels (N,) bool that a rotation is fitted to: see `direction_displacements`."""
-    valid = np.isfinite(moved).all(axis=(1, 2)) & np.isfinite(by_rotation).all(axis=(1, 2))
+def camera_axes(camera: Camera, pixels: Array, fitted: Array | None = None, distances: Array | None = None) -> Array:
+    """Return the displacements (N, 2, 3) of the same pixels per unit of a relative change of the focal length and per
+    px by which the principal point moves right and down; fitted, distances, NaN: as of `direction_displacements`.
+    """
+    shift = np.broadcast_to(np.eye(2), (len(pixels), 2, 2))
+    moved = np.concatenate([(pixels - camera.parameters[2:4])[:, :, None], shift], axis=2)
+    return _without_motion(moved, _jacobians(camera, pixels, distances)[2], fitted)
+
+
+def _by_motion(projected: ProjectionJacobians, points: Array, *, near: bool) -> Array:
+    """Return the derivatives of pixels by a rotation of points (N, 2, 3), of near ones by a shift too (N, 2, 6)."""
+    by_rotation = projected.d_point @ -so3.hat(points)  # δp = δr × p
+    return np.concatenate([by_rotation, projected.d_point], axis=2) if near else np.asarray(by_rotation)
+
+
+def _select_fitted(moved: Array, by_motion: Array, fitted: Array | None) -> Array:
+    """Return the pixels (N,) bool that a motion is fitted to: see `direction_displacements`."""
+    valid = np.isfinite(moved).all(axis=(1, 2)) & np.isfinite(by_motion).all(axis=(1, 2))
     return np.asarray(valid if fitted is None or np.sum(valid & fitted) < _FEWEST else valid & fitted)
 
 
-def _without_rotation(moved: Array, by_rotation: Array, fitted: Array | None) -> Array:
-    """Return displacements (N, 2, C) without what the rotation explains that explains most of them."""
-    chosen = _select_fitted(moved, by_rotation, fitted)
-    displacements = moved - by_rotation @ _rotations(moved[chosen], by_rotation[chosen])
-    displacements[~_select_fitted(moved, by_rotation, None)] = np.nan
+def _without_motion(moved: Array, by_motion: Array, fitted: Array | None) -> Array:
+    """Return displacements (N, 2, C) without what the motion explains that explains most of them."""
+    chosen = _select_fitted(moved, by_motion, fitted)
+    displacements = moved - by_motion @ _best_motions(moved[chosen], by_motion[chosen])
+    displacements[~_select_fitted(moved, by_motion, None)] = np.nan
     return np.asarray(displacements)
 
 
-def _jacobians(camera: Camera, pixels: Array) -> tuple[Array, Array, Array]:
-    """Return the derivatives of pixels of unit rays by parameters (N, 2, K), ray (N, 2, 3) and rotation (N, 2, 3)."""
-    rays = camera.unproject(pixels).directions
-    projected = camera.model.project_with_jacobians(camera.parameters, rays)
-    by_rotation = projected.d_point @ -so3.hat(rays)  # δray = δr × ray
-    return projected.by_parameters(len(camera.parameters)), projected.d_point, np.asarray(by_rotation)
+def _jacobians(camera: Camera, pixels: Array, distances: Array | None = None) -> tuple[Array, Array, Array]:
+    """Return the derivatives of pixels of unit rays, or of points at distances, by parameters (N, 2, K), point
+    (N, 2, 3) and motion, see `_by_motion`.
+    """
+    points = camera.unproject(pixels).directions * (1.0 if distances is None else distances[:, None])
+    projected = camera.model.project_with_jacobians(camera.parameters, points)
+    by_motion = _by_motion(projected, points, near=distances is not None)
+    return projected.by_parameters(len(camera.parameters)), projected.d_point, by_motion
 
 
-def _rotations(moved: Array, by_rotation: Array) -> Array:
-    """Return the rotation (3, C) per unit of every change that best explains how the change moves the pixels."""
+def _best_motions(moved: Array, by_motion: Array) -> Array:
+    """Return the motion (M, C) per unit of every change that best explains how the change moves the pixels."""
     if not len(moved):
-        return np.zeros((3, moved.shape[2]))
+        return np.zeros((by_motion.shape[2], moved.shape[2]))
     flat = moved.reshape(-1, moved.shape[2])
-    return np.asarray(np.linalg.lstsq(by_rotation.reshape(-1, 3), flat, rcond=None)[0])
+    return np.asarray(np.linalg.lstsq(by_motion.reshape(len(flat), -1), flat, rcond=None)[0])
 
 
 def in_hull(pixels: Array, observed: Array) -> Array:

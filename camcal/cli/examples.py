@@ -110,6 +110,14 @@ _CALLS = {  # a comment with the purpose above each call, as in a shell
         # Size, pattern and exposure of a raw frame
         inspect IMG_0001.DNG
     """,
+    "diff": """
+        # Whether two calibrations are of the same camera
+        diff monday.yaml friday.yaml
+        # The history of one camera, as a gate for scripts
+        diff first.yaml second.yaml third.yaml --max 1 --max-sigma 4
+        # The difference for points at 0.5 m and 2 m, with its map
+        diff camera.yaml opencv.xml --at 0.5m,2m --plot difference.png
+    """,
     "demosaic": """
         # A raw photograph in colour, with a tone curve for the screen
         demosaic IMG_0001.DNG -o IMG_0001.tiff --wb camera --tone srgb

@@ -1,4 +1,4 @@
-"""`camcal inspect`, `convert`, `report`, `rerun`, `plot` and `doctor`: what files hold, and what is installed."""
+"""`camcal inspect`, `diff`, `convert`, `report`, `rerun`, `plot`, `doctor`: what files hold, and what is installed."""
 
 import json
 from functools import partial
@@ -10,10 +10,12 @@ from camcal.cli import show
 from camcal.cli.call import Call, ImageCall
 from camcal.files import STANDARD
 from camcal.report.table import Column
+from camcal.tasks.calibration.options import DiffOptions
 from camcal.tasks.options import CAMERA_SUFFIXES, ConvertFileOptions, InspectOptions, PlotOptions
 from camcal.tasks.reports.options import ReportOptions, RerunOptions
 
 if TYPE_CHECKING:
+    from camcal.tasks.calibration.diff import DiffReport
     from camcal.tasks.calibration.inspect import Inspection
     from camcal.tasks.convert import ConvertReport
     from camcal.tasks.doctor import Examination
@@ -137,6 +139,34 @@ def _show_rig(rig: "RigInspection") -> None:
             show.table(title, DEPTH_COLUMNS, rows)
     if isinstance(error := rig.measured.get("epipolar_rms_px"), float):
         show.text(f"Epipolar error of the calibration images {error:.3f} px RMS")
+
+
+def diff(options: DiffOptions, call: Call) -> None:
+    """Compare cameras with the first one: by how much projections differ, and whether that is more than is uncertain.
+
+    The rotation that best undoes the difference is taken out, with --at the rigid motion. Cameras may have other lens
+    models, image sizes of the same shape and file formats. Exit 7 beyond --max or --max-sigma.
+    """
+    from camcal.errors import GateFailed
+    from camcal.tasks.calibration.diff import diff as run
+    from camcal.tasks.calibration.diff import document
+
+    report = run(options)
+    call.give(lambda: document(report), lambda: _show_diff(report, call.verbose))
+    if report.failures:
+        raise GateFailed.of(report.failures)
+
+
+def _show_diff(report: "DiffReport", verbose: bool) -> None:
+    from camcal.tasks.calibration.diff import COLUMNS, rows
+
+    if len(report.comparisons) == 1:
+        [(name, found)] = report.comparisons.items()
+        show.text(f"{name}: {found.words}")
+    columns = COLUMNS if len(report.comparisons) > 1 else COLUMNS[:-1]
+    table = [row[: len(columns)] for row in rows(report)]
+    show.table(f"difference from {report.first} where both are known", columns, table, verbose=verbose)
+    show.wrote(*report.outputs)
 
 
 def convert(options: ConvertFileOptions, call: Call) -> None:

@@ -211,11 +211,11 @@ def projection_covariances(camera: Camera, pixels: ArrayLike, observed: Array | 
 def _covariances(camera: Camera, covariance: Array | None, pixels: Array, fitted: Array | None) -> FloatArray:
     if covariance is None:
         raise InvalidInput("the projection uncertainty needs the covariance of the camera, which is not known")
-    moved = direction_displacements(camera, pixels, fitted) @ _root(covariance)
+    moved = direction_displacements(camera, pixels, fitted) @ covariance_root(covariance)
     return np.asarray(moved @ moved.transpose(0, 2, 1))
 
 
-def _root(covariance: Array) -> Array:
+def covariance_root(covariance: Array) -> Array:
     """Return a root R (K, K) of a covariance R Rᵀ, by which no variance of what it moves is negative, as it may be by
     rounding where parameters are strongly correlated.
     """

@@ -1,4 +1,8 @@
-"""CPU quotas as the two generations of Linux control groups write them."""
+"""CPU quotas as the two generations of Linux control groups write them, and memory that a process keeps."""
+
+import platform
+import subprocess
+import sys
 
 import pytest
 
@@ -56,3 +60,18 @@ def test_no_quota_is_no_limit(tmp_path, mount, text):
 
 def test_a_system_without_control_groups_has_no_limit(tmp_path):
     assert quota_cores(tmp_path / "missing", tmp_path) > MANY
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="only glibc says where freed memory goes")
+@pytest.mark.parametrize(("kept", "faults"), [(True, False), (False, True)])
+def test_arrays_are_made_in_freed_memory_once_that_is_kept(kept, faults):
+    """What the system hands out anew is counted by page faults: of 64 MB there are thousands."""
+    script = (
+        "import resource, sys, numpy as np; from camcal.run.process import keep_freed_memory\n"
+        "if sys.argv[1] == 'True': keep_freed_memory()\n"
+        "made = lambda: np.full(1 << 23, 1.0)\n"
+        "made(); before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt\n"
+        "made(); print(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", script, str(kept)], capture_output=True, text=True, check=True)
+    assert (int(done.stdout) > 20) == faults

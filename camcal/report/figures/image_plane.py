@@ -13,6 +13,7 @@ from camcal.calibrate.intrinsics import Calibration
 from camcal.cameras.model import Camera
 from camcal.cameras.validity import ImageCircle, rim
 from camcal.messages import counted
+from camcal.quality.camera_comparison import CameraComparison
 from camcal.quality.projection_uncertainty import ProjectionUncertainty
 from camcal.report.figures.figure import COLOUR_MAP, Plot, Theme, panel_height
 
@@ -22,6 +23,7 @@ _LONG, _SHARE = 0.95, 0.05  # the quantile of residuals that is drawn this share
 _CELLS = 12  # across the longer side of the image
 _LEAST_MEAN = 4  # corners in a cell whose mean is drawn
 _LEVELS = 6
+_SIGMAS = 3.0  # of a difference: the line in its map
 
 
 def projection_uncertainty(
@@ -66,6 +68,52 @@ def _draw_uncertainty(axes: Axes, uncertainty: ProjectionUncertainty, theme: The
             uncertainty.u, uncertainty.v, inside, levels=[0.5], colors="white", linestyles="--", linewidths=1.4
         )
     axes.set_facecolor(theme.faint)
+
+
+def camera_difference(found: CameraComparison) -> Plot:
+    """Return the map of the difference of two cameras, RMS over the distances, and its directions at the first."""
+    size = round(float(found.u[-1])) + 1, round(float(found.v[-1])) + 1
+    shape = len(found.v), len(found.u)
+    lengths = np.ma.masked_invalid(np.sqrt(np.mean(found.lengths**2, axis=0)).reshape(shape))
+    pixels = np.stack(np.meshgrid(found.u, found.v), axis=-1).reshape(-1, 2)
+    drawn = np.isfinite(found.difference[0]).all(axis=1) & (np.indices(shape) % 2 == 1).all(axis=0).ravel()
+    factor = magnification(found.lengths[0][drawn], size[0])
+    figures = [found.figures(index) for index in range(len(found.distances))]
+    worst = max(each["compared_worst_px"] or 0.0 for each in figures)
+    rms = float(np.sqrt(np.mean([(each["compared_rms_px"] or 0.0) ** 2 for each in figures])))
+    sigmas = np.ma.masked_invalid(np.sqrt(np.mean(found.sigmas**2, axis=0)).reshape(shape))
+    contour = sigmas.count() and sigmas.min() < _SIGMAS < sigmas.max()
+    said = f"{rms:.2g} px RMS, at most {worst:.2g} px where both cameras are known"
+
+    def draw(figure: FigureBase, theme: Theme) -> None:
+        axes = _image_axes(figure, size)
+        mesh = axes.pcolormesh(
+            found.u,
+            found.v,
+            lengths,
+            norm=scale_of(lengths.compressed()),
+            cmap=COLOUR_MAP,
+            shading="gouraud",
+            rasterized=True,
+        )
+        colour_bar(axes, mesh, "difference, px")
+        _draw_vectors(axes, pixels[drawn], factor * found.difference[0][drawn], theme.series[1], 0.8)
+        for values, level, style in ((found.compared.reshape(shape).astype(float), 0.5, "--"), (sigmas, _SIGMAS, "-")):
+            if style == "--" or contour:
+                axes.contour(found.u, found.v, values, levels=[level], colors="white", linestyles=style, linewidths=1.4)
+        axes.set_facecolor(theme.faint)
+        axes.set_title(f"arrows magnified {factor:g} x", loc="right")
+
+    return Plot(
+        "camera_difference",
+        "Difference of two cameras",
+        f"Difference of the projections, {said} (inside the dashed line); arrows from the first camera to the second, "
+        f"magnified {factor:g} x." + (f" White line: {_SIGMAS:g} standard deviations." if contour else ""),
+        f"Map of the image coloured by the difference of two cameras, {said}.",
+        draw,
+        panel_height(size),
+        dense=True,
+    )
 
 
 def residual_vectors(calibration: Calibration) -> Plot:

@@ -170,28 +170,30 @@ def _ends(gray: Array, checker: Checker) -> Array:
     beside = (*across[:2], *downwards[2:])
     outward = (-downwards[0], downwards[1], -across[2], across[3])
     sides = zip(places, beside, outward, strict=True)
-    return np.array([any(_is_rim(gray, *side, checker.contrast, width) for width in RIMS) for side in sides])
+    return np.array([_has_rim(gray, *side, checker.contrast) for side in sides])
 
 
-def _is_rim(gray: Array, beyond: Array, along: Array, outward: Array, contrast: float, width: float) -> bool:
-    """Return whether outer squares of a width, in steps, end beyond the last corners of a side and a margin begins.
+def _has_rim(gray: Array, beyond: Array, along: Array, outward: Array, contrast: float) -> bool:
+    """Return whether outer squares of one of RIMS end beyond the last corners of a side and a margin begins.
 
     beyond: (K, 2) where the next corners would be. along, outward: (K, 2) steps, pixels.
     """
-    aside = ASIDE * width
-    rim = beyond - (1 - width) * outward
+    widths = np.array(RIMS)[:, None, None]
+    aside = ASIDE * widths
+    rim = beyond - (1 - widths) * outward
     outer = rim + outward / 2
-    # not so where the rim is unknown
-    seen = np.asarray(((outer > 0) & (outer < np.array(gray.shape[::-1]) - 1)).all(axis=1))
-    if seen.sum() < max(LEAST_RIM, len(seen) / 2):
-        return False
-    rim, along, outward = rim[seen], along[seen], outward[seen]
-    reach = np.stack([along, outward], axis=-1) * (aside / 2)
-    places = [rim + ASIDE * a * along + aside * b * outward for b in (-1, 1) for a in (-1, 1)]
-    left, right, outer_left, outer_right = (_mean_around(gray, place, reach) for place in places)
+    seen = ((outer > 0) & (outer < np.array(gray.shape[::-1]) - 1)).all(axis=2)
+    reach = np.stack([along, outward], axis=-1) * (aside[..., None] / 2)
+    places = np.stack([rim + ASIDE * a * along + aside * b * outward for b in (-1, 1) for a in (-1, 1)])
+    cells = places.reshape(-1, 2), np.broadcast_to(reach, (*places.shape, 2)).reshape(-1, 2, 2)
+    left, right, outer_left, outer_right = _mean_around(gray, *cells).reshape(places.shape[:-1])
     bright = np.maximum(left, right)
     margin = np.maximum(np.abs(outer_left - bright), np.abs(outer_right - bright)) < MARGIN * 2 * contrast
-    return bool((margin & (np.abs(left - right) > ALTERNATING * 2 * contrast)).mean() >= ENDS)
+    ending = margin & (np.abs(left - right) > ALTERNATING * 2 * contrast)
+    count = seen.sum(axis=1)
+    # not so where the rim is unknown
+    known = count >= max(LEAST_RIM, len(beyond) / 2)
+    return bool((known & ((ending & seen).sum(axis=1) >= ENDS * count)).any())
 
 
 def _mean_around(gray: Array, places: Array, reach: Array) -> Array:

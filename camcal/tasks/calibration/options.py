@@ -1,6 +1,7 @@
 """The options of the commands for calibration and board detection."""
 
 from dataclasses import dataclass
+from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -11,20 +12,25 @@ from camcal.options import (
     INPUT,
     LENS,
     NAMES,
+    NUMBER,
     OUTPUT,
     PERCENT,
     SIZE,
     Argument,
     Option,
     OptionsRecord,
+    ValueType,
     Without,
+    Written,
 )
+from camcal.parsing import parse_number
 from camcal.raw.options import AS_IMAGES, ImageReadOptions
 from camcal.run.options import DEFAULT_BATCH, BatchOptions
 from camcal.tasks.options import (
     BOARD_OPTION,
     CAMERA_FILE,
     DETECTIONS,
+    FIGURES,
     FOLDER,
     NO_FIGURES,
     PICTURES,
@@ -42,8 +48,27 @@ from camcal.tasks.suggestions import lens_model_names, lens_models
 if TYPE_CHECKING:
     from camcal.targets.board import Board
 
+_LENGTHS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
 MOST_FRAMES = 40
 TRUSTWORTHY = "trustworthy"
+
+
+def _read_lengths(text: str) -> tuple[float, ...]:
+    """Return lengths in metres, each written with its unit mm, cm or m, or without, separated by commas."""
+    lengths = []
+    for part in text.split(","):
+        unit = next((each for each in _LENGTHS if part.endswith(each)), "")
+        lengths.append(_LENGTHS.get(unit, 1.0) * parse_number(part.removesuffix(unit)))
+    if not all(0 < length < inf for length in lengths):
+        raise ValueError(text)
+    return tuple(lengths)
+
+
+_DISTANCES = ValueType(
+    _read_lengths,
+    lambda values: ",".join(f"{NUMBER.write(value)}m" for value in values),
+    "lengths such as 0.5m,800mm, separated by commas",
+)
 
 Parts = Annotated[
     bool,
@@ -268,3 +293,71 @@ class DemoOptions(OptionsRecord):
     seed: Annotated[int, Option("Random seed of poses and noise.", metavar="N", group=INPUT, least=0)] = 0
     jobs: Jobs = None
     overwrite: Overwrite = False
+
+
+@dataclass(frozen=True)
+class DiffOptions(OptionsRecord):
+    """Camera files that are compared with the first of them, each FILE or FILE#NAME.
+
+    distances: m, of points that the difference is for, none for infinity. most_px, most_sigma: what it may be at most.
+    """
+
+    files: Annotated[
+        tuple[str, ...],
+        Argument(
+            "Camera files of any format, or FILE#NAME; each is compared with the first one.",
+            metavar="CAMERA…",
+            required=True,
+        ),
+    ] = ()
+    distances: Annotated[
+        tuple[float, ...],
+        Option(
+            "Distances of points, after the rigid motion that suits best; by default infinity, after a rotation.",
+            metavar="LENGTH,…",
+            names="--at",
+            type=_DISTANCES,
+        ),
+    ] = ()
+    most_px: Annotated[
+        float | None,
+        Option(
+            "Exit with 7 if projections differ by more anywhere that both cameras are known.",
+            metavar="PX",
+            group=CHECKS,
+            names="--max",
+            least=0,
+            recorded=False,
+        ),
+    ] = None
+    most_sigma: Annotated[
+        float | None,
+        Option(
+            "Exit with 7 if the difference (RMS) is more standard deviations, or their number is not known.",
+            metavar="K",
+            group=CHECKS,
+            names="--max-sigma",
+            least=0,
+            recorded=False,
+        ),
+    ] = None
+    plot: Annotated[
+        Path | None,
+        Option("Draw the map of the difference.", metavar="FILE", group=OUTPUT, recorded=False, written=FIGURES),
+    ] = None
+    csv: Annotated[
+        Path | None,
+        Option(
+            "Write the difference at the pixels of a grid as a table.",
+            metavar="FILE",
+            group=OUTPUT,
+            recorded=False,
+            written=Written((".csv",)),
+        ),
+    ] = None
+    overwrite: Overwrite = False
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if len(self.files) == 1:
+            raise InvalidInput(f"one camera file ({self.files[0]}): give two or more to compare")

@@ -347,9 +347,7 @@ class TrackingOptions(OptionsRecord):
     max_gap: Annotated[float, Option("Longest time without a detection within a track segment.", metavar="SECONDS")] = (
         1.0
     )
-    fill: Annotated[bool, Option("Interpolate poses of frames without a detection, within a track segment only.")] = (
-        False
-    )
+    fill: Annotated[bool, Option("Also poses of frames without an accepted detection, within a track segment.")] = False
     causal: Annotated[bool, Option("Filter only: every pose from the frames up to it.")] = False
     lag: Annotated[
         int | None, Option("Fixed-lag smoothing: every pose from the frames up to N later.", metavar="N", least=0)

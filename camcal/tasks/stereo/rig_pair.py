@@ -33,7 +33,7 @@ from camcal.parsing import did_you_mean
 from camcal.progress import SILENT, Progress
 from camcal.raw.tiles import one_by_one
 from camcal.run.paths import split_address
-from camcal.run.process import over_threads
+from camcal.run.process import keep_freed_memory, over_threads
 from camcal.stereo.disparity import Confidence, Disparity, of_rectification, too_few, why_not_rectified
 from camcal.stereo.matching.learned import learned_disparity
 from camcal.stereo.matching.match import match_prepared, within
@@ -330,6 +330,7 @@ def match_images(
 
     Of a pair above each other the images are matched on their side, and the map is upright again.
     """
+    keep_freed_memory()
     left, right, valid, geometry = images.left, images.right, images.valid, images.known.geometry
     upright = geometry is not None and geometry.upright
     if upright:
