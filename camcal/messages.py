@@ -112,6 +112,8 @@ CODES: Mapping[str, Mapping[str, str]] = {
         "inconsistent_chain": "transforms of a file contradict each other",
         "outside_region": "a view or points lie in parts of the image in which the camera is not known well enough",
         "reduced_scale": "an undistorted image is much smaller at its centre than the source",
+        "not_stated": "a camera file does not state what a gate asks for",
+        "small_region": "the verdict on a camera holds in a smaller part of the image than --min-coverage",
         "camera_difference": "the projections of two cameras differ by more than --max",
         "camera_difference_sigmas": "the difference of two cameras is more standard deviations than --max-sigma",
         "unknown_difference_std": "the standard deviation of the difference of two cameras is not known",

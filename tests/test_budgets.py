@@ -19,14 +19,14 @@ LINES = {
     "arrays": 42,
     "calibrate": 7426,
     "cameras": 2189,
-    "cli": 3533,
+    "cli": 3539,
     "errors": 137,
     "estimate": 8677,
     "files": 393,
     "formats": 9240,
     "geometry": 963,
     "images": 1879,
-    "messages": 220,
+    "messages": 222,
     "opencv": 150,
     "optics": 311,
     "options": 400,
@@ -42,11 +42,11 @@ LINES = {
     "stereo": 5101,
     "system": 271,
     "targets": 7063,
-    "tasks": 22429,
+    "tasks": 22532,
     "urls": 99,
 }
-PARTS = {"modules": 406, "records": 651, "records named in one module": 197, "short functions with one reference": 489}
-PASSED = {"modules": 144, "functions": 1106, "records": 125}  # from a table of detections to a camera file
+PARTS = {"modules": 407, "records": 652, "records named in one module": 197, "short functions with one reference": 489}
+PASSED = {"modules": 145, "functions": 1107, "records": 126}  # from a table of detections to a camera file
 SHORT = 5  # lines of a function's body, which could as well stand where it is called
 
 

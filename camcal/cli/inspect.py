@@ -41,7 +41,7 @@ def inspect(options: InspectOptions, call: ImageCall) -> None:
 
     Errors in a camera file are listed with their lines; implausible values give warnings. For a raw frame: pattern,
     levels, white balance, capture settings, and clipped samples per channel; for a file without a header, the layouts
-    that match its length, until --format and --size are given.
+    that match its length, until --format and --size are given. Gates of camera files end with exit 7.
     """
     path, _ = options.address
     is_camera = str(path) == STANDARD or path.suffix.lower() in CAMERA_SUFFIXES
@@ -63,6 +63,8 @@ def _inspect_raw(options: InspectOptions, call: ImageCall) -> None:
 
     if options.output is not None:
         raise InvalidInput("-o draws a rig; this is a raw frame", where=options.file)
+    if options.gates.given:
+        raise InvalidInput("--require, --max-uncertainty and --min-coverage are for camera files", where=options.file)
     if options.get is not None or options.address[1] is not None:
         raise InvalidInput(
             "--get and --camera are for camera files; use --json for one value of a raw frame", where=options.file
@@ -86,6 +88,7 @@ def _show_frame(inspection: "RawInspection") -> None:
 
 
 def _inspect_camera(options: InspectOptions, call: ImageCall) -> None:
+    from camcal.errors import GateFailed
     from camcal.progress import warn_of
     from camcal.tasks.calibration.inspect import document, value_at
     from camcal.tasks.calibration.inspect import inspect as run
@@ -97,9 +100,12 @@ def _inspect_camera(options: InspectOptions, call: ImageCall) -> None:
             show.result("inspect", {"file": options.address[0], "key": options.get, "value": value})
         else:
             show.value(value if isinstance(value, str) else json.dumps(value))  # a shell writes numbers as JSON does
-        return
-    warn_of(inspection.file.warnings, call.progress)
-    call.give(lambda: document(inspection), lambda: _show(inspection, options, call.verbose))
+    else:
+        warn_of(inspection.file.warnings, call.progress)
+        call.give(lambda: document(inspection), lambda: _show(inspection, options, call.verbose))
+    cameras = {name: inspection.file.cameras[name] for name in inspection.fields}
+    if failures := [each for name, entry in cameras.items() for each in options.gates.failures(name, entry)]:
+        raise GateFailed.of(failures)
 
 
 def _show(inspection: "Inspection", options: InspectOptions, verbose: bool) -> None:

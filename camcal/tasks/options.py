@@ -27,6 +27,7 @@ from camcal.options import (
 )
 from camcal.raw.names import MONO, PATTERNS
 from camcal.raw.options import NO_LAYOUT, GivenLayout
+from camcal.tasks.gates import NO_GATES, CameraGates
 from camcal.tasks.suggestions import board_kinds, camera_formats, format_names
 
 CAMERA_SUFFIXES = (".yaml", ".yml", ".xml", ".json")  # of camera files, of all formats
@@ -249,7 +250,8 @@ Pattern = Annotated[
 class InspectOptions(OptionsRecord):
     """A camera file, or FILE#NAME for one of its cameras; or a raw frame, its pattern and layout as far as needed.
 
-    get: the path of one value in a camera file. output: a picture of the rig, or a page that shows it.
+    get: the path of one value in a camera file. output: a picture of the rig, or a page that shows it. gates: what the
+    cameras of the file must be.
     """
 
     file: Annotated[
@@ -277,6 +279,7 @@ class InspectOptions(OptionsRecord):
     camera: CameraName = None
     pattern: Pattern = None
     layout: GivenLayout = NO_LAYOUT
+    gates: CameraGates = NO_GATES
     overwrite: Overwrite = False
 
     @property

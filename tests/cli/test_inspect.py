@@ -159,11 +159,50 @@ def test_an_unknown_key_names_the_nearest(camcal, rig, key, words):
 
 def test_json_holds_the_file_and_what_follows_from_it(camcal, rig):
     payload = json.loads(camcal(rig, "--json").out)
-    assert list(payload) == ["schema", "file", "content", "field_of_view_deg", "rig", "warnings"]
+    assert list(payload) == ["schema", "file", "content", "stated", "field_of_view_deg", "rig", "warnings"]
     assert payload["schema"] == "camcal/inspect/1"
     assert payload["content"]["cameras"]["left"]["intrinsics"]["fx"] == 512.0625
     assert [len(angles) for angles in payload["field_of_view_deg"].values()] == [3, 3]
     assert [f"{each['where']}: {each['text']}" for each in payload["warnings"]] == [f"{rig}:{UNTRUSTED}"]
+
+
+def test_json_has_what_is_stated_and_the_gates_that_fail(camcal, rig):
+    result = camcal(f"{rig}#left", "--json", "--require", "trustworthy", "--max-uncertainty", "0.02")
+    payload = json.loads(result.out)
+    assert result.code == payload["exit"] == 7
+    assert payload["stated"] == {"left": {"trustworthy": False, "uncertainty_px": 0.03, "coverage": None}}
+    assert [each["code"] for each in payload["failures"]] == ["untrustworthy", "projection_uncertainty"]
+    assert payload["failures"][1]["values"] == {"uncertainty_px": 0.03, "limit_px": 0.02}
+
+
+def test_a_gate_that_fails_is_a_line_for_each_camera_and_the_exit_code(camcal, rig, tmp_path):
+    gates = ("--require", "trustworthy", "--max-uncertainty", "0.02", "--min-coverage", "70")
+    result = camcal(rig, *gates, "--quiet")
+    assert result.code == 7
+    lines = [line.removeprefix("camcal: error: ") for line in result.err.splitlines() if "error" in line]
+    nothing = "right: the file states no {}: calibrate with camcal"
+    assert lines == [
+        "left: not trustworthy: the lower left corner was never seen",
+        "left: projection uncertainty 0.03 px (limit 0.02 px)",
+        "left: the file states no region of its verdict: calibrate with camcal",
+        *(nothing.format(each) for each in ("verdict", "projection uncertainty", "region of its verdict")),
+    ]
+    good = tmp_path / "good.yaml"
+    region = "region: {limit_px: 1.0, share: 0.72, polygon: [[0.0, 0.0], [639.0, 0.0], [320.0, 479.0]]}"
+    good.write_text(CAMERA.replace('trustworthy: false, reasons: ["the lower left corner was never seen"]', region))
+    good.write_text(good.read_text().replace("verdict: {region", "verdict: {trustworthy: true, region"))
+    passes = ("--require", "trustworthy", "--max-uncertainty", "0.03", "--min-coverage", "70")
+    assert camcal(f"{good}#left", *passes).code == 0
+    result = camcal(f"{good}#left", "--min-coverage", "80", "--get", "cameras.left.verdict.trustworthy")
+    assert (result.code, result.out) == (7, "true\n")
+    assert "left: the verdict holds in 72 % of the image (limit 80 %)" in result.err
+
+
+def test_gates_are_not_for_raw_frames(camcal, tmp_path):
+    (tmp_path / "frame.raw").write_bytes(bytes(64))
+    result = camcal(str(tmp_path / "frame.raw"), "--require", "trustworthy")
+    assert result.code == 2
+    assert "are for camera files" in result.err
 
 
 def test_json_of_one_value_is_a_document_too(camcal, rig):

@@ -19,6 +19,7 @@ from camcal.parsing import did_you_mean
 from camcal.report.table import held_by_prior_words, length_unit, projection_words, value_and_std
 from camcal.run.outputs import writes
 from camcal.targets.board import CLASSES, RATIOS, Surface
+from camcal.tasks.gates import stated
 from camcal.tasks.options import InspectOptions
 from camcal.tasks.rigs.inspect_rig import RigInspection, draw_rig, inspect_rig
 from camcal.tasks.rigs.inspect_rig import as_data as rig_data
@@ -207,6 +208,7 @@ def document(inspection: Inspection) -> dict[str, Any]:
     return {
         "file": inspection.document.where,
         "content": inspection.document.data,
+        "stated": {name: stated(inspection.file.cameras[name]) for name in inspection.fields},
         "field_of_view_deg": {name: list(angles) for name, angles in inspection.fields.items()},
         "rig": rig_data(inspection.rig),
     }

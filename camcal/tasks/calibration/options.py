@@ -26,6 +26,7 @@ from camcal.options import (
 from camcal.parsing import parse_number
 from camcal.raw.options import AS_IMAGES, ImageReadOptions
 from camcal.run.options import DEFAULT_BATCH, BatchOptions
+from camcal.tasks.gates import TRUSTWORTHY
 from camcal.tasks.options import (
     BOARD_OPTION,
     CAMERA_FILE,
@@ -50,7 +51,6 @@ if TYPE_CHECKING:
 
 _LENGTHS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
 MOST_FRAMES = 40
-TRUSTWORTHY = "trustworthy"
 
 
 def _read_lengths(text: str) -> tuple[float, ...]:

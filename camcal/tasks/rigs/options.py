@@ -20,7 +20,6 @@ from camcal.raw.options import AS_IMAGES, ImageReadOptions
 from camcal.run.options import DEFAULT_BATCH, BatchOptions
 from camcal.tasks.calibration.options import (
     BEST_FRAMES,
-    TRUSTWORTHY,
     FlatBoard,
     FrameOptions,
     FreeCorners,
@@ -33,6 +32,7 @@ from camcal.tasks.calibration.options import (
     SaveDetections,
     require_positive,
 )
+from camcal.tasks.gates import TRUSTWORTHY
 from camcal.tasks.options import (
     BOARD_OPTION,
     CAMERA_FILE,
