@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pypdfium2
 from PIL import Image
-from run_page import PAGES, PROJECT, README, run
+from run_page import PAGES, PROJECT, README, command, run
 
 FOLDER = PROJECT / "docs" / "pictures"
 COLOURS = 64
@@ -113,7 +113,8 @@ def make(page: Path) -> None:
     wanted = PICTURES.get(page.stem.lower(), {})
     with tempfile.TemporaryDirectory() as folder:
         if wanted:
-            run(page.read_text(encoding="utf-8"), Path(folder))
+            with command() as program:
+                run(page.read_text(encoding="utf-8"), Path(folder), program)
         for name, maker in wanted.items():
             write(maker(Path(folder)), name)
 

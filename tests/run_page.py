@@ -20,7 +20,7 @@ PAGES = [PROJECT / "docs" / "tutorial.md", *sorted((PROJECT / "docs" / "recipes"
 
 _FENCE = re.compile(r"^```(sh|python|text)\n(.*?)^```$", flags=re.MULTILINE | re.DOTALL)
 _NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
-# Runs every command as a copy of itself, so that libraries are imported once for a page: it takes the arguments, the
+# Runs every command as a copy of itself, so that libraries are imported once for all pages: it takes the arguments, the
 # environment, the folder and the three streams of a call from a socket, and gives back the exit code.
 _SERVER = """
 import importlib, json, os, socket, sys
@@ -93,18 +93,19 @@ def steps(page: str) -> list[Step]:
     return found
 
 
-def run(page: str, folder: Path) -> list[str]:
-    """Return the output of every step of a page, run in a folder; a command that fails ends it with its output."""
+def run(page: str, folder: Path, program: Path) -> list[str]:
+    """Return the output of every step of a page, run in a folder; a command that fails ends it with its output.
+
+    program: that `command` gives.
+    """
     with tempfile.TemporaryDirectory() as kept:
-        tools, outputs = Path(kept), []
-        script = ["set -euo pipefail"]
+        outputs, script = [], ["set -euo pipefail"]
         for number, step in enumerate(steps(page)):
-            outputs.append(tools / f"{number}.txt")
+            outputs.append(Path(kept) / f"{number}.txt")
             script.append(_script(step, outputs[-1]))
-        path = f"{tools}{os.pathsep}{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+        path = f"{program.parent}{os.pathsep}{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
         environment = os.environ | {"PATH": path, "COLUMNS": "80"}
-        with _command(tools / "camcal"):
-            ended = subprocess.run(["bash", "-c", "\n".join(script)], cwd=folder, env=environment, check=False)
+        ended = subprocess.run(["bash", "-c", "\n".join(script)], cwd=folder, env=environment, check=False)
         printed = [output.read_text(encoding="utf-8") for output in outputs if output.exists()]
         if ended.returncode:
             message = f"exit {ended.returncode} in\n{steps(page)[len(printed) - 1].code}\n{printed[-1]}"
@@ -113,19 +114,23 @@ def run(page: str, folder: Path) -> list[str]:
 
 
 @contextmanager
-def _command(path: Path) -> Iterator[None]:
-    """Write a program `camcal` that is the package of this tree, while the process that runs it is there."""
-    calls = path.with_name("calls")
-    client = f"exec {sys.executable} -I -S -c '{_CLIENT}' {calls} \"$@\"\n"
-    path.write_text(f"#!/bin/sh\n{client}", encoding="utf-8")
-    path.chmod(path.stat().st_mode | stat.S_IXUSR)
-    words = [sys.executable, "-c", _SERVER, str(calls)]
-    with subprocess.Popen(words, stdout=subprocess.PIPE, start_new_session=True) as server:
-        try:
-            server.stdout.readline()
-            yield
-        finally:
-            server.kill()
+def command() -> Iterator[Path]:
+    """Yield a program `camcal` that is the package of this tree, while the process that runs it is there.
+
+    The libraries are imported once for all pages that are run with it.
+    """
+    with tempfile.TemporaryDirectory() as kept:
+        program, calls = Path(kept) / "camcal", Path(kept) / "calls"
+        client = f"exec {sys.executable} -I -S -c '{_CLIENT}' {calls} \"$@\"\n"
+        program.write_text(f"#!/bin/sh\n{client}", encoding="utf-8")
+        program.chmod(program.stat().st_mode | stat.S_IXUSR)
+        words = [sys.executable, "-c", _SERVER, str(calls)]
+        with subprocess.Popen(words, stdout=subprocess.PIPE, start_new_session=True) as server:
+            try:
+                server.stdout.readline()
+                yield program
+            finally:
+                server.kill()
 
 
 def _script(step: Step, output: Path) -> str:
@@ -149,6 +154,8 @@ if __name__ == "__main__":
     page, folder = Path(sys.argv[1]), Path(sys.argv[2])
     folder.mkdir(parents=True, exist_ok=True)
     text = page.read_text(encoding="utf-8")
-    for step, printed in zip(steps(text), run(text, folder.resolve()), strict=True):
+    with command() as program:
+        outputs = run(text, folder.resolve(), program)
+    for step, printed in zip(steps(text), outputs, strict=True):
         lost = "".join(f"*** not printed: {line}\n" for line in missing(step.shown, printed))
         sys.stdout.write(f"{step.code}---\n{printed}{lost}")

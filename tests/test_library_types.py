@@ -85,14 +85,20 @@ def revealed(names: list[tuple[str, str]], folder: Path) -> tuple[dict[str, str]
     return types, errors
 
 
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A folder of scripts, and of what mypy keeps of the package from one to the next."""
+    return tmp_path_factory.mktemp("typed")
+
+
 @pytest.mark.slow
-def test_a_type_checker_finds_no_any_in_what_a_program_gets(tmp_path):
+def test_a_type_checker_finds_no_any_in_what_a_program_gets(folder):
     waiting = [("camcal", name) for name in camcal.__all__]
     known: set[str] = set()
     found: dict[str, str] = {}
     while waiting:
         known |= {name for _, name in waiting}
-        types, errors = revealed(waiting, tmp_path)
+        types, errors = revealed(waiting, folder)
         assert errors == []
         found |= types
         names = {full for text in types.values() for full in re.findall(r"camcal(?:\.\w+)+", results(text))}
@@ -107,13 +113,13 @@ def test_a_type_checker_finds_no_any_in_what_a_program_gets(tmp_path):
 
 
 @pytest.mark.slow
-def test_the_examples_of_the_library_page_are_typed(tmp_path):
+def test_the_examples_of_the_library_page_are_typed(folder):
     blocks = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "library.md").read_text(), re.DOTALL)
     assert len(blocks) >= 5
     assert max(len(block.splitlines()) for block in blocks) <= 15
     functions = [f"def example{number}() -> None:\n{indent(block, '    ')}" for number, block in enumerate(blocks)]
     wrong = "import camcal\ncamcal.read_camera(3)\n"
-    said = checked(wrong + "\n".join(functions), tmp_path)
+    said = checked(wrong + "\n".join(functions), folder)
     assert [(line, kind) for line, kind, _ in said] == [("2", "error")]  # the planted one
 
 

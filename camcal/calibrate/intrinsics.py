@@ -12,7 +12,7 @@ from camcal.calibrate.evidence import WithinViews
 from camcal.calibrate.fit import CalibrationFit, ShapeOptions, averaged_fit, fit, fit_briefly, fit_like, fit_plain
 from camcal.calibrate.influence import influence
 from camcal.calibrate.jackknife import predict_views
-from camcal.calibrate.noise import REJECTED
+from camcal.calibrate.noise import REJECTED, row_medians
 from camcal.calibrate.problem import POSE, BoardProblem
 from camcal.calibrate.refusals import (
     MIN_VIEWS,
@@ -332,7 +332,7 @@ def record(solved: Solved, pose_covariances: Array, between: BetweenViews) -> Ca
     problem, state, plain = result.problem, result.state, result.plain
     residuals = problem.residuals(state)
     kept = _kept(problem, residuals)
-    found = misfit(problem, state, residuals)
+    medians = row_medians(np.nan_to_num(np.hypot(*residuals), nan=np.inf), problem.observations.present)
     covariance = result.covariance
     camera = _camera(result, size, covariance)
     noise_covariance = _camera(result, size, result.noise_covariance).covariance
@@ -345,7 +345,7 @@ def record(solved: Solved, pose_covariances: Array, between: BetweenViews) -> Ca
         covariances=pose_covariances,
         residuals=residuals,
         kept=kept,
-        medians=found.medians,
+        medians=medians,
     )
     return Calibration(
         camera,

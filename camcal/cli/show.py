@@ -18,7 +18,7 @@ from camcal import records
 from camcal.cli.progress_bar import ProgressBar
 from camcal.errors import FileError, reason
 from camcal.files import STANDARD
-from camcal.messages import Message, as_data, counted
+from camcal.messages import Message, counted
 from camcal.parsing import in_one_line
 from camcal.progress import Item, Outcome, Progress, Silent
 from camcal.report.table import Column, table_lines, wrapped
@@ -49,9 +49,9 @@ class Session:
 
     def document(self, command: str, error: Mapping[str, Any], failures: Sequence[Message] = ()) -> None:
         """Print the one document: result, warnings, and what failed; `command` counts where there is no result."""
-        found = [*self.result.get("failures", ()), *as_data(failures)]
+        found = plain([*self.result.get("failures", ()), *failures])
         failed = {"failures": [each for place, each in enumerate(found) if each not in found[:place]]} if found else {}
-        document(self.command or command, {**self.result, "warnings": as_data(self.warnings), **failed, **error})
+        document(self.command or command, {**self.result, "warnings": self.warnings, **failed, **error})
 
 
 @dataclass

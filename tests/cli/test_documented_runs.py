@@ -14,36 +14,43 @@ PROJECT = Path(__file__).parents[2]
 sys.path.insert(0, str(PROJECT / "tests"))
 
 from documentation_pictures import PICTURES as MADE  # noqa: E402
-from run_page import PAGES, README, masked, missing, run, steps  # noqa: E402
+from run_page import PAGES, README, command, masked, missing, run, steps  # noqa: E402
 
 PICTURES = PROJECT / "docs" / "pictures"
 LARGEST = 150_000  # bytes
 
 
+@pytest.fixture(scope="module")
+def program():
+    """The command of this tree, in one process for all pages."""
+    with command() as program:
+        yield program
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("page", [README, *PAGES], ids=lambda page: page.stem)
-def test_every_command_of_a_page_runs_in_an_empty_folder_and_prints_what_is_shown(page, tmp_path):
+def test_every_command_of_a_page_runs_in_an_empty_folder_and_prints_what_is_shown(page, tmp_path, program):
     text = page.read_text(encoding="utf-8")
     found = steps(text)
     assert len(found) >= 2
-    printed = run(text, tmp_path)
+    printed = run(text, tmp_path, program)
     assert {
         step.code: lost for step, out in zip(found, printed, strict=True) if (lost := missing(step.shown, out))
     } == {}
 
 
-def test_a_step_that_fails_ends_the_page_with_its_output(tmp_path):
+def test_a_step_that_fails_ends_the_page_with_its_output(tmp_path, program):
     page = "```sh\ntouch before\n```\n\n```sh\ncamcal inspect none.yaml\n```\n\n```sh\ntouch after\n```\n"
     with pytest.raises(RuntimeError, match=r"exit 3 in\ncamcal inspect none\.yaml\n+camcal: error: none\.yaml"):
-        run(page, tmp_path)
+        run(page, tmp_path, program)
     assert [path.name for path in tmp_path.iterdir()] == ["before"]
 
 
-def test_steps_share_a_folder_and_python_sees_their_files(tmp_path):
+def test_steps_share_a_folder_and_python_sees_their_files(tmp_path, program):
     parts = ("sh\nx=7\necho $x > a.txt", "python\nprint(open('a.txt').read())", "text\n8", "sh\necho $x")
     page = "".join(f"```{part}\n```\n" for part in parts)
     assert [step.shown for step in steps(page)] == ["", "8\n", ""]
-    assert [out.strip() for out in run(page, tmp_path)] == ["", "7", "7"]
+    assert [out.strip() for out in run(page, tmp_path, program)] == ["", "7", "7"]
 
 
 def test_a_line_that_is_not_printed_is_found_whatever_the_numbers():

@@ -99,7 +99,7 @@ def verified_corners(gray: Array, start: Array, clearance: float = CLEARANCE) ->
     grid = np.where((crossing & (sign * nodes.contrast > CONTRAST * contrast))[..., None], nodes.grid, np.nan)
     grid[grids.stray(grid) > STRAY] = np.nan
     checker = Checker(grid, sign, contrast)
-    for _ in range(sum(start.shape[:2])):
+    for _ in range(0 if checker.found.all() else sum(start.shape[:2])):
         grown = _fill(gray, checker, grids.predict(checker.grid), clearance)
         if (grown.found == checker.found).all():
             break
