@@ -17,6 +17,7 @@ from camcal.cameras.validity import ImageCircle
 from camcal.errors import InvalidInput
 from camcal.messages import counted
 from camcal.quality.projection_uncertainty import GRID, covariance_root, grid_pixels, in_polygon
+from camcal.records import Brief
 from camcal.solve.losses import variance_ratio_beyond
 
 SAME, MOVED, OTHER, UNKNOWN = "same", "moved", "other", "unknown"
@@ -65,7 +66,7 @@ class Excess:
 
 
 @dataclass(frozen=True, eq=False)
-class CameraComparison:
+class CameraComparison(Brief):
     """The difference of two cameras over the image of the first.
 
     u, v: (columns,), (rows,) of the grid, px of the first camera. distances: (D,) m, infinity for directions.
