@@ -3,9 +3,10 @@
 The views of a set are divided at random into two halves, --splits times, and both are calibrated as in split_halves.py.
 same, apart, unknown: what the comparison of the two says (`camcal.quality.camera_comparison`; apart: another camera or
 a lens that moved). sigmas: median over the splits of the difference in standard deviations (wanted: 1). Of two sets of
-a stereo pair: the verdict on the calibrations of all views, and on halves of the one and of the other.
+a stereo pair: the verdict on the calibrations of all views, and on halves of the one and of the other. Tables that are
+missing are made from the images.
 
-    python benchmarks/compared_halves.py --detections FOLDER [--splits 6] [--sets NAME …]
+    CAMCAL_TEST_DATA=FOLDER python benchmarks/compared_halves.py --detections FOLDER [--splits 6] [--sets NAME …]
 """
 
 import argparse
@@ -14,7 +15,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from split_halves import ALL_SETS, FAILURES, MODELS, divisions, numbered, read_views
+from split_halves import ALL_SETS, FAILURES, MODELS, divisions, make_table, numbered, read_views
 
 from camcal.calibrate.intrinsics import Options, calibrate
 from camcal.cameras.catalogue import model_named
@@ -40,6 +41,7 @@ def calibrated(name, views, board):
 
 def calibrations(folder, name, splits):
     """Return the calibration of all views of a set, and pairs of those of halves."""
+    make_table(folder, name)
     board, views = read_views(folder, name)
     whole = calibrate(views, board, Options(model_named(MODELS[name]), max_rejected=1.0))
     views = numbered(board, views, [view.symmetry for view in whole.views])
