@@ -32,7 +32,7 @@ LINES = {
     "options": 400,
     "parsing": 67,
     "progress": 149,
-    "quality": 1750,
+    "quality": 1751,
     "raw": 5019,
     "records": 155,
     "report": 6666,

@@ -32,6 +32,7 @@ _FLOOR = 0.01  # of the variance of a difference: less along a direction is not 
 _LEAST = 1e-6  # of the mean variance over the image, of a pixel that hardly moves
 _RANK = 1e-6  # of changes of a camera's axes: less is a rotation
 _EQUAL_PX = 1e-3  # RMS: the same lens, written in another way
+_ROUNDING_PX = 1e-9  # what two projections of one ray differ by
 _ZOOM, _SHIFT = 0.03, 0.03  # of the focal length, of the image's diagonal: more is no lens that moved
 
 
@@ -171,7 +172,7 @@ def compare(
         u=u,
         v=v,
         distances=ranges,
-        difference=found.reshape(*shape, 2),
+        difference=np.where(np.abs(found) < _ROUNDING_PX, 0.0, found).reshape(*shape, 2),
         compared=compared,
         focal=focal,
         shift=(shift[0], shift[1]),

@@ -81,6 +81,7 @@ def test_one_lens_in_another_size_or_model_is_the_same():
     found = compare(own, plain, [0.5, 2.0])
     assert found.words == "the same camera within what is known: the projections agree within 0.001 px (RMS)"
     assert found.difference.shape == (2, 713, 2)
+    assert compare(own, own).figures(0)["worst_px"] == 0.0  # not what its last digits differ by
 
 
 def test_points_of_one_distance_hide_a_focal_length_and_those_of_two_do_not():
