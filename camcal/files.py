@@ -37,6 +37,7 @@ _STARTS = (
 _UNMISTAKABLE = (".json", ".xml")  # kinds that always begin so
 _LONGEST_SUFFIX = 16
 _FULL = 1 << 16  # bytes free on a disk that counts as full
+_NEW = os.O_RDWR | os.O_CREAT | os.O_EXCL | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
 _UMASK = Lock()
 
 
@@ -93,9 +94,10 @@ def replacing(path: Path) -> Iterator[Path]:
         with _sent(path) as temporary:
             yield temporary
         return
-    remote = urls.holder(path)
-    handle, temporary = (None, remote.new_file(path)) if remote is not None else _beside(path)
-    try:
+    remote, made, handle = urls.holder(path), list[Path](), None
+    try:  # from before there is a file: a signal may end the run at any moment
+        handle = _beside(path, made)
+        temporary = made[-1]
         yield temporary
         if ledger is None or ledger.completes(path, temporary):
             if remote is None:
@@ -111,20 +113,23 @@ def replacing(path: Path) -> Iterator[Path]:
         raise
     finally:
         with suppress(OSError):  # its folder is another one now
-            temporary.unlink(missing_ok=True)
+            for each in made:
+                each.unlink(missing_ok=True)
         if handle is not None:
             os.close(handle)
 
 
-def _beside(path: Path) -> tuple[int | None, Path]:
-    """Return a new temporary file beside `path`, in a folder that is made for it; see `_reserved`."""
+def _beside(path: Path, made: list[Path]) -> int | None:
+    """Make a temporary file beside `path`, in a folder that is made for it; see `_reserved`."""
+    if (remote := urls.holder(path)) is not None:
+        made.append(remote.new_file(path))
+        return None
     try:
         system.prepare(path.parent)
         _sweep(path.parent.absolute())
-        handle, name = _reserved(path)
+        return _reserved(path, made)
     except OSError as error:
         raise _unwritable(path, error) from error
-    return handle, Path(name)
 
 
 def _put(temporary: Path, path: Path) -> None:
@@ -170,26 +175,28 @@ def _sent(path: Path) -> Iterator[Path]:
             raise _unwritable(path, error) from error
 
 
-def _reserved(path: Path) -> tuple[int | None, str]:
-    """Return a new temporary file beside `path`, open and locked for as long as it is being written.
+def _reserved(path: Path, made: list[Path]) -> int | None:
+    """Make a temporary file beside `path`, open and locked for as long as it is being written, and return its handle.
 
-    It is not held open where there are no locks, since open files are not renamed there.
+    made: gets its name, before there is such a file. It is not held open where there are no locks, since open files are
+    not renamed there.
     """
     suffix = path.suffix if len(path.suffix) <= _LONGEST_SUFFIX else ""
     while True:
-        handle, name = tempfile.mkstemp(prefix=TEMPORARY, suffix=suffix, dir=path.parent)
+        made.append(path.parent.absolute() / f"{TEMPORARY}{os.urandom(8).hex()}{suffix}")
+        handle = os.open(made[-1], _NEW, 0o600)
         if not system.HAS_LOCKS:
             os.close(handle)
-            return None, name
+            return None
         try:
             system.lock(handle)
         except BlockingIOError:  # a sweep was faster, and removes it
             os.close(handle)
             continue
         except OSError:  # a file system without locks, where nothing is swept either
-            return handle, name
-        if Path(name).exists():
-            return handle, name
+            return handle
+        if made[-1].exists():
+            return handle
         os.close(handle)
 
 

@@ -22,7 +22,7 @@ LINES = {
     "cli": 3539,
     "errors": 137,
     "estimate": 8677,
-    "files": 393,
+    "files": 400,
     "formats": 9240,
     "geometry": 963,
     "images": 1879,

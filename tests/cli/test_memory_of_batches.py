@@ -87,11 +87,13 @@ def test_memory_does_not_grow_by_the_pixels_of_the_images(made, tmp_path, comman
     counts = THREADED if "--jobs 2" in command else (FEW, MANY)
     few, many = (repeated(made, tmp_path / str(count), count) for count in counts)
     peak_of(command, few, tmp_path / "first")  # what is imported and kept by then
-    grown = [
-        peak_of(command, many, tmp_path / f"many{number}") - peak_of(command, few, tmp_path / f"few{number}")
-        for number in range(TRIES if "--jobs 2" in command else 1)
-    ]
-    assert min(grown) < PER_ITEM * (counts[1] - counts[0])
+    limit, grown = PER_ITEM * (counts[1] - counts[0]), []
+    # with threads, and with figures that wait for the collector, a peak may be higher by chance
+    while not grown or (grown[-1] >= limit and len(grown) < TRIES):
+        number = len(grown)
+        peak = peak_of(command, many, tmp_path / f"many{number}")
+        grown.append(peak - peak_of(command, few, tmp_path / f"few{number}"))
+    assert min(grown) < limit
 
 
 def test_figures_of_maps_are_drawn_one_after_another(made, tmp_path):

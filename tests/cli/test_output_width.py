@@ -43,6 +43,7 @@ RUNS = {
     "report": "report pair.yaml -o report.html",
     "rerun": "rerun again.html -o again",
     "plot": "plot path.tum -o plotted",
+    "diff": "diff pair.yaml#left pair.yaml#right",
     "convert": "convert pair.yaml converted.yml --to opencv",
     "calibrate": "calibrate seen.csv -o camera.yaml -j 1",
     "rig": "rig two.csv --model opencv4 --flat-board --no-free-corners -o two.yaml",

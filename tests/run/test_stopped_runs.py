@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
+from camcal import files, system
 from camcal.images.files import load, save
 
 TEMPORARY = ".camcal.part-*"
@@ -173,3 +174,16 @@ threading.Timer(1, os.kill, (os.getpid(), signal.SIGTERM)).start()
 hashlib.pbkdf2_hmac("sha256", b"", b"", 2**31 - 1)
 """
     assert start_python("-c", program).wait(timeout=30) == 143
+
+
+def test_a_signal_while_a_temporary_file_is_made_leaves_none(tmp_path, monkeypatch):
+    """The moment between making the file and locking it is too short to be hit by a signal of another process."""
+
+    def stop(_handle):
+        assert list(tmp_path.glob(TEMPORARY))
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(system, "lock", stop)
+    with pytest.raises(KeyboardInterrupt), files.replacing(tmp_path / "camera.yaml"):
+        pytest.fail("nothing is to be written")
+    assert list(tmp_path.glob(TEMPORARY)) == []
