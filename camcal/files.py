@@ -37,7 +37,6 @@ _STARTS = (
 _UNMISTAKABLE = (".json", ".xml")  # kinds that always begin so
 _LONGEST_SUFFIX = 16
 _FULL = 1 << 16  # bytes free on a disk that counts as full
-_NEW = os.O_RDWR | os.O_CREAT | os.O_EXCL | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
 _UMASK = Lock()
 
 
@@ -183,8 +182,7 @@ def _reserved(path: Path, made: list[Path]) -> int | None:
     """
     suffix = path.suffix if len(path.suffix) <= _LONGEST_SUFFIX else ""
     while True:
-        made.append(path.parent.absolute() / f"{TEMPORARY}{os.urandom(8).hex()}{suffix}")
-        handle = os.open(made[-1], _NEW, 0o600)
+        handle = system.open_new(path.parent, suffix, made)
         if not system.HAS_LOCKS:
             os.close(handle)
             return None

@@ -28,6 +28,7 @@ except ImportError:  # Windows
 HAS_LOCKS = fcntl is not None
 _WITHOUT_WAITING = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
 
+_NEW = os.O_RDWR | os.O_CREAT | os.O_EXCL | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
 TEMPORARY = ".camcal.part-"  # how names of unfinished files begin
 HELD = f"{TEMPORARY}run"  # the file that keeps other runs from an output folder
 
@@ -126,6 +127,15 @@ def locked(folder: Path) -> Iterator[None]:
         yield
     finally:
         _close(handle)
+
+
+def open_new(folder: Path, suffix: str, made: list[Path]) -> int:
+    """Return the handle of a new temporary file, to read and write; made: gets its path, before there is such a file.
+
+    Raises FileExistsError if there is one by chance, OSError if none can be made.
+    """
+    made.append(folder.absolute() / f"{TEMPORARY}{os.urandom(8).hex()}{suffix}")
+    return os.open(made[-1], _NEW, 0o600)
 
 
 def open_to_read(path: Path, *, follow: bool = True) -> int:

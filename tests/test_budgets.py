@@ -22,7 +22,7 @@ LINES = {
     "cli": 3539,
     "errors": 137,
     "estimate": 8677,
-    "files": 400,
+    "files": 398,
     "formats": 9240,
     "geometry": 963,
     "images": 1879,
@@ -40,13 +40,13 @@ LINES = {
     "simulate": 1720,
     "solve": 1707,
     "stereo": 5101,
-    "system": 271,
+    "system": 281,
     "targets": 7063,
     "tasks": 22532,
     "urls": 99,
 }
-PARTS = {"modules": 407, "records": 652, "records named in one module": 197, "short functions with one reference": 489}
-PASSED = {"modules": 145, "functions": 1106, "records": 126}  # from a table of detections to a camera file
+PARTS = {"modules": 407, "records": 652, "records named in one module": 197, "short functions with one reference": 490}
+PASSED = {"modules": 145, "functions": 1107, "records": 126}  # from a table of detections to a camera file
 SHORT = 5  # lines of a function's body, which could as well stand where it is called
 
 
