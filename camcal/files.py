@@ -95,7 +95,7 @@ def replacing(path: Path) -> Iterator[Path]:
         return
     remote, made, handle = urls.holder(path), list[Path](), None
     try:  # from before there is a file: a signal may end the run at any moment
-        handle = _beside(path, made)
+        handle = _make_beside(path, made)
         temporary = made[-1]
         yield temporary
         if ledger is None or ledger.completes(path, temporary):
@@ -118,15 +118,15 @@ def replacing(path: Path) -> Iterator[Path]:
             os.close(handle)
 
 
-def _beside(path: Path, made: list[Path]) -> int | None:
-    """Make a temporary file beside `path`, in a folder that is made for it; see `_reserved`."""
+def _make_beside(path: Path, made: list[Path]) -> int | None:
+    """Make a temporary file beside `path`, in a folder that is made for it; see `_make_locked`."""
     if (remote := urls.holder(path)) is not None:
         made.append(remote.new_file(path))
         return None
     try:
         system.prepare(path.parent)
         _sweep(path.parent.absolute())
-        return _reserved(path, made)
+        return _make_locked(path, made)
     except OSError as error:
         raise _unwritable(path, error) from error
 
@@ -174,7 +174,7 @@ def _sent(path: Path) -> Iterator[Path]:
             raise _unwritable(path, error) from error
 
 
-def _reserved(path: Path, made: list[Path]) -> int | None:
+def _make_locked(path: Path, made: list[Path]) -> int | None:
     """Make a temporary file beside `path`, open and locked for as long as it is being written, and return its handle.
 
     made: gets its name, before there is such a file. It is not held open where there are no locks, since open files are

@@ -96,7 +96,7 @@ def two_cameras(
     named: groups of images by their names, each of which may be another camera's. by_lens: whether to look for groups
     that are distinguished by their lenses alone.
     """
-    if not len(plain.problem.free) or len(images) < 2 * LEAST_VIEWS:
+    if not len(plain.problem.free) or len(images) < 2 * LEAST_VIEWS or not (named or by_lens):
         return None
     bare, state = _bare(plain)
     if len(images) > _SCREENED:

@@ -11,7 +11,7 @@ import numpy as np
 from camcal import files
 from camcal.cameras.model import Camera
 from camcal.errors import InvalidInput
-from camcal.formats import cameras
+from camcal.formats import cameras, tables
 from camcal.formats.camera_file import CameraEntry, CameraFile
 from camcal.formats.provenance import image_counts
 from camcal.messages import Message
@@ -89,11 +89,11 @@ def compare_cameras(
         else:
             path, chosen = split_address(str(each))
             file = cameras.read(path)
-            found.append(calibrated(str(each), cameras.select(file, chosen, str(path)), file))
+            found.append(calibration_of(str(each), cameras.select(file, chosen, str(path)), file))
     return compare(found[0], found[1], distances)
 
 
-def calibrated(name: str, entry: CameraEntry, file: CameraFile) -> Calibrated:
+def calibration_of(name: str, entry: CameraEntry, file: CameraFile) -> Calibrated:
     """Return what a file says of the calibration of one of its cameras."""
     region = entry.verdict.region if entry.verdict is not None else None
     images = file.provenance.get("images")
@@ -119,8 +119,8 @@ def _read(address: str) -> dict[str, Calibrated]:
     require_no_image(path)
     file = cameras.read(path)
     if name is not None or len(file.cameras) == 1:
-        return {name or next(iter(file.cameras)): calibrated(address, cameras.select(file, name, str(path)), file)}
-    return {each: calibrated(f"{address}#{each}", entry, file) for each, entry in file.cameras.items()}
+        return {name or next(iter(file.cameras)): calibration_of(address, cameras.select(file, name, str(path)), file)}
+    return {each: calibration_of(f"{address}#{each}", entry, file) for each, entry in file.cameras.items()}
 
 
 def _partner(name: str, first: dict[str, Calibrated], other: dict[str, Calibrated]) -> Calibrated:
@@ -201,7 +201,7 @@ def _csv_lines(found: dict[str, CameraComparison]) -> Iterator[str]:
     yield "# camcal diff"
     yield "camera,distance_m,u,v,du,dv,difference_px,std_px,sigmas,compared"
     for name, each in found.items():
-        quoted = '"' + name.replace('"', '""') + '"' if set(name) & set(',"\n\r') else name
+        quoted = tables.cell(name)
         pixels = np.stack(np.meshgrid(each.u, each.v), axis=-1).reshape(-1, 2)
         for index, distance in enumerate(each.distances):
             std = each.std[index] if each.std is not None else np.full(len(pixels), np.nan)

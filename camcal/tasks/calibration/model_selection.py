@@ -287,7 +287,7 @@ def brief_calibration(
     """
     found: list[CandidateModel] = []
     for name in (DEFAULT_MODEL, WIDE_MODEL) if choose else (options.model.name,):
-        found += judge(compare_models(views, board, options, [model_named(name)]), circle)
+        found += judge(compare_models(views, board, replace(options, named_groups=()), [model_named(name)]), circle)
         if found[-1].calibration is not None and not found[-1].failures:
             return found[-1].calibration
     return rank_models(found, DEFAULT_MODEL)[0].calibration
