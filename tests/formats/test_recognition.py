@@ -57,7 +57,7 @@ def test_every_row_is_read_or_says_what_to_do():
     for row in ROWS:
         assert bool(row.name) != bool(row.title and row.instead), row
         assert "YAML" not in row.title + row.instead
-    assert list(FORMATS)[0] == "camcal"
+    assert next(iter(FORMATS)) == "camcal"
     assert [FORMATS[name].name for name in FORMATS] == list(FORMATS)
 
 
@@ -68,15 +68,20 @@ def test_every_example_is_read_or_refused_in_the_words_of_its_family():
             continue
         row = recognise(cameras.source_of(path).text)
         assert row is not None, path
-        title = row.title or FORMATS[row.name].title
-        try:
-            file = cameras.read(path)
-        except CamcalError as error:
-            assert title in str(error), path
-            assert "YAML" not in str(error).replace(str(path), ""), error
-            assert re.search(r"\b(give|export|calibrate|import|undistort|convert|optimi[sz]e)\b", str(error)), error
-        else:
-            assert file.cameras
+        said = refusal(path)
+        if said is not None:
+            assert (row.title or FORMATS[row.name].title) in said
+            assert "YAML" not in said
+            assert re.search(r"\b(give|export|calibrate|import|undistort|convert|optimi[sz]e)\b", said), said
+
+
+def refusal(path):
+    """Return what a file is refused with, None if it is read."""
+    try:
+        assert cameras.read(path).cameras
+    except CamcalError as error:
+        return str(error).replace(str(path), "")
+    return None
 
 
 def test_names_of_other_programs_get_no_other_file(tmp_path):
