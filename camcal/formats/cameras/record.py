@@ -1,9 +1,10 @@
 """What a camera format is: what it can hold, how its files are distinguished from others, read and written."""
 
-from collections.abc import Callable, Mapping, Sequence
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -14,11 +15,15 @@ from camcal.cameras.model import Camera
 from camcal.errors import InvalidInput
 from camcal.formats.camera_file import CameraFile
 from camcal.formats.documents import Document, Fault, child
+from camcal.formats.native import NAME
 from camcal.formats.schema import FOCAL_LENGTH, LARGEST_SIDE, number
 from camcal.geometry import rotation as so3
-from camcal.geometry.pose import Pose
+from camcal.geometry.pose import JOINT, Pose
 from camcal.messages import Message
 from camcal.parsing import parse_number
+
+if TYPE_CHECKING:
+    from camcal.formats.cameras.lenses import Lenses
 
 CAMERA, LEFT, RIGHT = "camera", "left", "right"  # names of cameras whose file gives none
 
@@ -77,7 +82,8 @@ class CameraFormat:
     cameras its transforms may have. files: how many may belong together as IN and --with. read: the cameras in so many
     files. write: writes cameras whose lens models are of `models`; outputs: the files that this writes. usage: with
     which functions such a file is used. in_folder: whether a path without a suffix is a folder with a file for each
-    camera. By which text a file is known says `recognition`.
+    camera. lenses: how its lenses are written, where that is declared. poses: which transforms it has, in words. note:
+    what who uses such a file has to know. By which text a file is known says `recognition`.
     """
 
     name: str
@@ -88,6 +94,9 @@ class CameraFormat:
     write: Callable[[Path, CameraFile], None]
     outputs: Callable[[Path, CameraFile], tuple[Path, ...]] = _same_path
     usage: Callable[[CameraFile], str] | None = None
+    lenses: "Lenses | None" = None
+    poses: str = ""
+    note: str = ""
     most_cameras: int | None = None
     keeps: frozenset[str] = frozenset()
     frames: frozenset[str] = frozenset()
@@ -147,6 +156,15 @@ class Values:
         if not isinstance(value, dict):
             raise self.wrong(key, "is not a mapping of keys to values")
         return Values(self.document, child(self.path, key), value)
+
+    def each(self, key: str) -> Iterator["Values"]:
+        """Yield the values below every item of a list of mappings; a single mapping does, too."""
+        value = self.data.get(key)
+        items = [value] if isinstance(value, dict) else value
+        if not isinstance(items, list) or not all(isinstance(item, dict) for item in items):
+            raise self.wrong(key, "is not a list of mappings")
+        for index, item in enumerate(items):
+            yield Values(self.document, child(child(self.path, key), index), item)
 
     def wrong(self, key: str, text: str) -> InvalidInput:
         """Return the error of what stands under a key."""
@@ -256,6 +274,13 @@ class Values:
             for fault in FOCAL_LENGTH(length, ""):
                 raise self.wrong(key, f"{name}: {fault.text}")
 
+    def rigid(self, key: str) -> Pose:
+        """Return the pose of a matrix (4, 4) whose last row is 0 0 0 1."""
+        matrix = self.matrix(key, 4, 4)
+        if not np.allclose(matrix[3], (0, 0, 0, 1), rtol=0, atol=1e-9):
+            raise self.wrong(key, f"its last row is {matrix[3].tolist()}, not 0 0 0 1")
+        return self.pose(key, matrix[:3, :3], matrix[:3, 3])
+
     def pose(self, key: str, rotation: Array, translation: Array) -> Pose:
         """Return the pose of a rotation (3, 3), the nearest one if it was rounded, and a translation (3,)."""
         found = so3.examine(rotation)
@@ -269,6 +294,12 @@ class Values:
             )
             rotation = so3.nearest(rotation)
         return Pose(rotation, translation)
+
+
+def name_of(text: str, fallback: str = CAMERA) -> str:
+    """Return the name of a camera that another program calls by any text."""
+    name = re.sub(r"[^A-Za-z0-9]+", "_", text).strip("_")
+    return name if NAME.match(name) and JOINT not in name else fallback
 
 
 def camera_of(
