@@ -109,7 +109,11 @@ def test_what_is_refused_and_how(run, tmp_path, rig):
         ((rig, out, "--to", "ros"), 2, "out.yaml: a pair is two files for ROS (left.yaml, right.yaml): give a folder"),
         ((rig, tmp_path / "out.xml", "--to", "ros"), 2, "out.xml: ROS camera_info is written as .yaml or .yml"),
         ((rig, tmp_path / "out.dat"), 2, "out.dat: .dat is not written; use .yaml, .yml, .xml, .json"),
-        ((rig, tmp_path / "out.txt"), 2, "out.txt: .txt is written in another format only: give --to and one of colmap"),
+        (
+            (rig, tmp_path / "out.txt"),
+            2,
+            "out.txt: .txt is written in another format only: give --to and one of colmap",
+        ),
         ((rig, tmp_path / "a.cam"), 2, "a.cam: .cam is not written"),
         ((rig, rig, "--to", "camcal"), 2, "rig.yaml: is an input and is not overwritten"),
         ((rig, out, "--to", "camcal", "--with", rig), 2, "are all in one"),

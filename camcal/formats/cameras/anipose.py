@@ -1,7 +1,7 @@
 """aniposelib's calibration.toml: cameras cam_0, cam_1, … with their places in the world.
 
 rotation, a rotation vector, and translation, in the unit of the board, take points of the world to the camera.
-caliscope has the same keys in tables of another name. Four coefficients are those of a fisheye where fisheye = true, and
+caliscope has the same keys in tables of another name. Four coefficients are of a fisheye where fisheye = true, and
 k1 k2 p1 p2 elsewhere. Source: aniposelib's cameras.py (Camera.get_dict, CameraGroup.load).
 """
 
