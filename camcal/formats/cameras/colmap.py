@@ -15,7 +15,8 @@ from camcal import files
 from camcal.errors import FileError, InvalidInput
 from camcal.formats.camera_file import CameraEntry, CameraFile, Transform, pose_between
 from camcal.formats.cameras.lenses import Lenses
-from camcal.formats.cameras.record import CAMERA, CameraFormat, Given, Source, Values
+from camcal.formats.cameras.record import CAMERA, CameraFormat, Given, Source
+from camcal.formats.cameras.values import Values
 from camcal.formats.documents import Document
 from camcal.formats.emit import exact_text
 from camcal.geometry import rotation as so3
@@ -43,7 +44,7 @@ LENSES = Lenses(
     EQUIRECTANGULAR panorama
     """,
     origin=0.5,
-    advice="run COLMAP with --ImageReader.camera_model OPENCV or OPENCV_FISHEYE, or give its undistorted images",
+    instead="run COLMAP with --ImageReader.camera_model OPENCV or OPENCV_FISHEYE, or give its undistorted images",
 )
 _IDS = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "OPENCV_FISHEYE", "FULL_OPENCV", "FOV",
         "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE", "THIN_PRISM_FISHEYE", "RAD_TAN_THIN_PRISM_FISHEYE",

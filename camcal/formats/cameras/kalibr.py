@@ -19,7 +19,8 @@ from camcal.errors import InvalidInput
 from camcal.formats import emit
 from camcal.formats.camera_file import CameraEntry, CameraFile, Transform, pose_between
 from camcal.formats.cameras.lenses import Lenses
-from camcal.formats.cameras.record import CameraFormat, Given, Source, Values
+from camcal.formats.cameras.record import CameraFormat, Given, Source
+from camcal.formats.cameras.values import Values
 from camcal.formats.documents import parse_foreign
 from camcal.geometry.pose import JOINT
 from camcal.messages import Message
@@ -37,7 +38,7 @@ LENSES = Lenses(
     ds-none double_sphere xi alpha fx fy cx cy
     eucm-none eucm alpha beta fx fy cx cy
     """,
-    advice="calibrate with --models pinhole-radtan or pinhole-equi",
+    instead="calibrate with --models pinhole-radtan or pinhole-equi",
 )
 
 _OTHER_WORDS = {"": "none", "radial-tangential": "radtan", "equi": "equidistant"}

@@ -17,7 +17,7 @@ from camcal.arrays import Array
 from camcal.cameras.catalogue import MODELS
 from camcal.cameras.model import Camera
 from camcal.errors import InvalidInput
-from camcal.formats.cameras.record import Values
+from camcal.formats.cameras.values import Values
 from camcal.formats.schema import FOCAL_LENGTH
 
 Size = tuple[int, int]
@@ -49,7 +49,7 @@ class Lenses:
     """The lenses of a family. text: the lines, the simplest first.
 
     origin: what the family counts at the centre of the top-left pixel: 0, 0.5 or 1. centred: cx, cy are counted from
-    the middle of the image. of_longer_side: lengths are in units of the longer side. advice: what to do with a lens
+    the middle of the image. of_longer_side: lengths are in units of the longer side. instead: what to do with a lens
     that camcal does not have.
     """
 
@@ -57,7 +57,7 @@ class Lenses:
     origin: float = 0.0
     centred: bool = False
     of_longer_side: bool = False
-    advice: str = "calibrate with one of these, or undistort the images there and give the pinhole of the result"
+    instead: str = "calibrate with one of these, or undistort the images there and give the pinhole of the result"
 
     @cached_property
     def rows(self) -> tuple[Lens, ...]:
@@ -77,7 +77,7 @@ class Lenses:
         if not found:
             what = "among camcal's lens models" if named else "a lens of this program"
             words = ", ".join(dict.fromkeys(row.word for row in self.rows if row.model in MODELS))
-            raise values.wrong(key, f"{word[:40]!r} is not {what}; read are {words}: {self.advice}")
+            raise values.wrong(key, f"{word[:40]!r} is not {what}; read are {words}: {self.instead}")
         return found
 
     def keyed(self, values: Values, lenses: Sequence[Lens], size: Size, prefix: str = "") -> Camera:
@@ -110,7 +110,7 @@ class Lenses:
     ) -> Camera:
         for own, value in zip(lens.keys, numbers, strict=True):
             if own.name == "0" and value:
-                raise wrong(own.key, f"{value:.4g} is of a lens that camcal does not have: {self.advice}")
+                raise wrong(own.key, f"{value:.4g} is of a lens that camcal does not have: {self.instead}")
         found = {own.name: value for own, value in zip(lens.keys, numbers, strict=True)}
         if "f" in found:
             found["fx"] = found["fy"] = found["f"]

@@ -15,8 +15,9 @@ from camcal import files
 from camcal.cameras.model import Camera
 from camcal.formats.camera_file import CameraEntry, CameraFile
 from camcal.formats.cameras.lenses import Lens, Lenses
-from camcal.formats.cameras.record import CameraFormat, Given, Source, Values, name_of
+from camcal.formats.cameras.record import CameraFormat, Given, Source, name_of
 from camcal.formats.cameras.syntax import xml_lines, xml_root, xml_values
+from camcal.formats.cameras.values import Values
 from camcal.formats.documents import Document
 from camcal.messages import Message
 
@@ -31,7 +32,7 @@ LENSES = Lenses(
     """,
     origin=0.5,
     centred=True,
-    advice="optimise the cameras there without k4, b2, p3 and p4 and export again, or export undistorted images",
+    instead="optimise the cameras there without k4, b2, p3 and p4 and export again, or export undistorted images",
 )
 
 

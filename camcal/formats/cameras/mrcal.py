@@ -16,7 +16,8 @@ from camcal import files
 from camcal.errors import FileError
 from camcal.formats.camera_file import CameraEntry, CameraFile, Transform, ValidRegion, pose_between
 from camcal.formats.cameras.lenses import Lenses
-from camcal.formats.cameras.record import CAMERA, LEFT, RIGHT, CameraFormat, Given, Source, Values
+from camcal.formats.cameras.record import CAMERA, LEFT, RIGHT, CameraFormat, Given, Source
+from camcal.formats.cameras.values import Values
 from camcal.formats.documents import Document
 from camcal.formats.emit import exact_text
 from camcal.geometry import rotation as so3
@@ -35,7 +36,7 @@ LENSES = Lenses(
     LENSMODEL_CAHVOR cahvor fx fy cx cy alpha beta r0 r1 r2
     LENSMODEL_CAHVORE cahvore fx fy cx cy alpha beta r0 r1 r2 e0 e1 e2
     """,
-    advice="calibrate there with --lensmodel LENSMODEL_OPENCV8, or convert it with mrcal-convert-lensmodel",
+    instead="calibrate there with --lensmodel LENSMODEL_OPENCV8, or convert it with mrcal-convert-lensmodel",
 )
 
 

@@ -13,8 +13,9 @@ from camcal import files
 from camcal.cameras.model import Camera
 from camcal.formats.camera_file import CameraEntry, CameraFile
 from camcal.formats.cameras.lenses import Lenses
-from camcal.formats.cameras.record import CAMERA, CameraFormat, Given, Source, Values
+from camcal.formats.cameras.record import CAMERA, CameraFormat, Given, Source
 from camcal.formats.cameras.syntax import json_text, json_values
+from camcal.formats.cameras.values import Values
 
 LENSES = Lenses(
     """

@@ -21,17 +21,8 @@ from camcal.cameras.model import Camera
 from camcal.errors import InvalidInput
 from camcal.formats import emit
 from camcal.formats.camera_file import CameraEntry, CameraFile, Transform, pose_between
-from camcal.formats.cameras.record import (
-    LEFT,
-    RIGHT,
-    CameraFormat,
-    Given,
-    Source,
-    Values,
-    camera_of,
-    name_of,
-    opencv_usage,
-)
+from camcal.formats.cameras.record import LEFT, RIGHT, CameraFormat, Given, Source, camera_of, name_of, opencv_usage
+from camcal.formats.cameras.values import Values
 from camcal.formats.documents import parse_foreign
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import JOINT, Pose

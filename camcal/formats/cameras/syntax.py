@@ -11,7 +11,8 @@ from xml.etree import ElementTree as ET
 from xml.sax.saxutils import escape
 
 from camcal.errors import FileError
-from camcal.formats.cameras.record import Source, Values
+from camcal.formats.cameras.record import Source
+from camcal.formats.cameras.values import Values
 from camcal.formats.documents import Document
 from camcal.formats.emit import exact_text
 

@@ -9,7 +9,8 @@ from pathlib import Path
 from camcal import files
 from camcal.formats.camera_file import CameraEntry, CameraFile
 from camcal.formats.cameras.lenses import Lenses
-from camcal.formats.cameras.record import CameraFormat, Given, Source, Values, name_of
+from camcal.formats.cameras.record import CameraFormat, Given, Source, name_of
+from camcal.formats.cameras.values import Values
 from camcal.formats.documents import parse_foreign
 from camcal.formats.emit import exact_text
 
