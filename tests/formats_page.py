@@ -37,7 +37,7 @@ ORIGINS = {0.0: "0", 0.5: "½", 1.0: "1"}
 
 def format_row(form: CameraFormat) -> str:
     """Return a camera format's row of the table."""
-    suffixes = " ".join(f"`{suffix}`" for suffix in form.suffixes)
+    suffixes = " ".join(f"`{suffix}`" for suffix in form.suffixes) or "not written"
     lenses = "all" if set(form.models) == set(MODELS) else " ".join(f"`{name}`" for name in form.models)
     cameras = "any number" if form.most_cameras is None else f"up to {form.most_cameras}"
     lens = form.lenses
