@@ -39,6 +39,7 @@ _LEAST = 4  # points below which only triplets give starts
 
 # poses that meet three points
 Form = tuple[Array, ...]  # the components of vectors, or of symmetric matrices: xx xy xz yy yz zz
+Rows = Array | Sequence[Array]
 _POLISH = 2  # Newton steps on the distances
 _FIRST, _SECOND = [0, 0, 1], [1, 2, 2]  # the corners that each edge joins
 _FULL = np.array([[0, 3, 4], [3, 1, 5], [4, 5, 2]])  # where the components of a diagonal and of what is beside it stand
@@ -179,14 +180,15 @@ def poses_of_triplets(rays: Array, points: Array) -> tuple[Array, Array]:
         seen = [distance * ray[:, triplet] for distance, ray in zip(distances, rays, strict=True)]
         states = _aligned(seen, _dual_basis(edges)[:, triplet], points[0][:, triplet])
         sound = np.isfinite(states.sum(axis=(0, 1)))
-    return np.ascontiguousarray(states.transpose(2, 0, 1)[sound]), triplet[sound]
+    states = states.transpose(2, 0, 1)
+    return (states, triplet) if sound.all() else (states[sound], triplet[sound])
 
 
 def _distances(lengths: Array, cosines: Array) -> tuple[Array, Array]:
     """Return distances (3, S) along the rays and their triplets (S,), from squared lengths (3, T) of the edges.
 
-    M_e is the form of edge e, λi² + λj² - 2 λi λj cos. Members of the pencil are x (c M₀ - a M₂) + y (c M₁ - b M₂), with
-    the lengths a, b, c.
+    Mₑ is the form of edge e, λi² + λj² - 2 λi λj cos. Members of the pencil are x (c M₀ - a M₂) + y (c M₁ - b M₂),
+    where the edges have the lengths a, b, c.
     """
     (a, b, c), (p, q, r) = lengths, cosines
     x, y = _singular_member(lengths, cosines)
@@ -274,7 +276,7 @@ def _lines(normals: Array, forms: Form) -> Array:
     return np.concatenate([np.stack(end) for end in ends], axis=1)
 
 
-def _applied(form: Form, vector: Sequence[Array]) -> Form:
+def _applied(form: Form, vector: Rows) -> Form:
     """Return the products of symmetric matrices and vectors, component by component."""
     xx, xy, xz, yy, yz, zz = form
     x, y, z = vector
@@ -314,7 +316,7 @@ def _dual_basis(edges: Array) -> Array:
     return np.stack([*_cross(second, normal), *_cross(normal, first), *normal]) / _dot(normal, normal)
 
 
-def _aligned(seen: Sequence[Array], dual: Array, corner: Array) -> Array:
+def _aligned(seen: Rows, dual: Array, corner: Array) -> Array:
     """Return the states (3, 4, S) that take triangles to congruent ones, of corners seen, three of (3, S).
 
     dual: (9, S) the dual basis of a triangle. corner: (3, S) its first corner.
@@ -328,11 +330,11 @@ def _aligned(seen: Sequence[Array], dual: Array, corner: Array) -> Array:
     return states
 
 
-def _dot(first: Sequence[Array], second: Sequence[Array]) -> Array:
-    return first[0] * second[0] + first[1] * second[1] + first[2] * second[2]
+def _dot(first: Rows, second: Rows) -> Array:
+    return np.asarray(first[0] * second[0] + first[1] * second[1] + first[2] * second[2])
 
 
-def _cross(first: Sequence[Array], second: Sequence[Array]) -> Form:
+def _cross(first: Rows, second: Rows) -> Form:
     """Return first × second, component by component."""
     (a, b, c), (x, y, z) = first, second
     return b * z - c * y, c * x - a * z, a * y - b * x
