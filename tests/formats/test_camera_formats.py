@@ -324,7 +324,7 @@ BAD = {
     '<?xml version="1.0"?><!DOCTYPE x [<!ENTITY a "b">]><opencv_storage>&a;</opencv_storage>': "document type",
     "<opencv_storage>" + "<a>" * 100 + "</a>" * 100 + "</opencv_storage>": "more than 32 levels",
     "<opencv_storage><a>" + " 1" * (5 << 20) + "</a></opencv_storage>": "more than 8388608 characters in <a>",
-    '{"camera_matrix": {"type_id": "opencv-matrix", "rows": 3,': "invalid or truncated YAML",
+    '{"camera_matrix": {"type_id": "opencv-matrix", "rows": 3,': "invalid or truncated text",
 }
 
 

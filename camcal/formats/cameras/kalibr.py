@@ -31,16 +31,8 @@ _LENSES = {word: model for model, word in MODELS.items()} | {"radial-tangential"
 _COUNTS = {"pinhole": 0, "opencv4": 4, "kannala_brandt4": 4}
 _KEPT = ("rostopic", "cam_overlaps", "timeshift_cam_imu", "line_delay")
 _CAMERA = re.compile(r"cam\d+\Z")
-_KEYS = (
-    re.compile(r"^cam\d+[ \t]*:", re.MULTILINE),
-    re.compile(r"^[ \t]+(camera_model|intrinsics)[ \t]*:", re.MULTILINE),
-)
+_ADVICE = "calibrate with --models pinhole-radtan or pinhole-equi"
 _AGREE = 1e-3  # m and of R, to which T_cam_imu of several cameras agree with T_cn_cnm1
-
-
-def sniff(text: str) -> bool:
-    """Return whether a text has the keys of such a file."""
-    return all(key.search(text) for key in _KEYS)
 
 
 def read(sources: Sequence[Source], given: Given) -> CameraFile:
@@ -106,10 +98,10 @@ def _pose(values: Values, key: str) -> Pose:
 def _entry(values: Values, given: Given) -> CameraEntry:
     kind = values.text("camera_model")
     if kind != "pinhole":
-        raise values.wrong("camera_model", f"{kind!r} is not among camcal's lens models; pinhole is")
+        raise values.wrong("camera_model", f"{kind!r} is not among camcal's lens models; pinhole is: {_ADVICE}")
     lens = values.text("distortion_model") or "none"
     if lens not in _LENSES:
-        raise values.wrong("distortion_model", f"{lens!r} is not one of {', '.join(MODELS.values())}")
+        raise values.wrong("distortion_model", f"{lens!r} is not one of {', '.join(MODELS.values())}: {_ADVICE}")
     model = _LENSES[lens]
     fx, fy, cx, cy = values.numbers("intrinsics", 4).tolist()
     values.require_focal("intrinsics", fx, fy)
@@ -159,7 +151,6 @@ FORMAT = CameraFormat(
     title="Kalibr camchain",
     suffixes=(".yaml", ".yml"),
     models=tuple(MODELS),
-    sniff=sniff,
     read=read,
     write=write,
     frames=frozenset({IMU}),

@@ -7,7 +7,6 @@ metres. R1 R2 P1 P2 Q follow from them and are not read. Nothing but fisheye_mod
 Source: samples/cpp/calibration.cpp, stereo_calib.cpp, tutorial_code/calib3d/camera_calibration of OpenCV.
 """
 
-import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -68,14 +67,6 @@ _OF_PAIR = (
 _SIDES = ("1", "2"), ("_1", "_2"), ("_left", "_right"), ("_l", "_r"), ("Left", "Right"), ("L", "R")
 _FLAGS = ("fisheye_model", "fisheye")
 _RMS, _COUNT = ("avg_reprojection_error", "Avg_Reprojection_Error"), ("nframes", "nr_of_frames", "nrOfFrames")
-_KEY = re.compile(
-    r"^[ \t]*[\"']?(?:{})[\"']?[ \t]*:".format("|".join((*_MATRIX, "M1", "K1", "cameraMatrix1"))), re.MULTILINE
-)
-
-
-def sniff(text: str) -> bool:
-    """Return whether a text is one of these files, if it is of none of the other formats."""
-    return file_storage.is_xml(text) or "opencv-matrix" in text or _KEY.search(text) is not None
 
 
 def read(sources: Sequence[Source], given: Given) -> CameraFile:
@@ -225,7 +216,6 @@ FORMAT = CameraFormat(
     title="OpenCV FileStorage",
     suffixes=(".yml", ".yaml", ".xml", ".json"),
     models=MODELS,
-    sniff=sniff,
     read=read,
     write=write,
     usage=opencv_usage,

@@ -34,10 +34,11 @@ class MissingSize(InvalidInput):
 
 
 class Source(NamedTuple):
-    """A file and its text."""
+    """A file and its text; of a binary file its bytes as Latin-1."""
 
     path: Path
     text: str
+    binary: bool = False
 
 
 @dataclass(frozen=True)
@@ -73,17 +74,16 @@ class CameraFormat:
     title: its name in words. suffixes: of the files it writes, the usual one first. models: the lens models that it
     writes, the simplest of each family first. most_cameras: None for any number. keeps: what it holds beyond lenses,
     sizes of images and transforms between cameras, by the names that `left_out` gives it. frames: which others than
-    cameras its transforms may have. files: how many may belong together as IN and --with. sniff: whether a text is of
-    this format. read: the cameras in so many files. write: writes cameras whose lens models are of `models`; outputs:
-    the files that this writes. usage: with which functions such a file is used. in_folder: whether a path without a
-    suffix is a folder with a file for each camera.
+    cameras its transforms may have. files: how many may belong together as IN and --with. read: the cameras in so many
+    files. write: writes cameras whose lens models are of `models`; outputs: the files that this writes. usage: with
+    which functions such a file is used. in_folder: whether a path without a suffix is a folder with a file for each
+    camera. By which text a file is known says `recognition`.
     """
 
     name: str
     title: str
     suffixes: tuple[str, ...]
     models: tuple[str, ...]
-    sniff: Callable[[str], bool]
     read: Callable[[Sequence[Source], Given], CameraFile]
     write: Callable[[Path, CameraFile], None]
     outputs: Callable[[Path, CameraFile], tuple[Path, ...]] = _same_path

@@ -50,10 +50,6 @@ _BY_COUNT = {
 }
 _OTHER_NAMES = {"": PLUMB_BOB, "fisheye": EQUIDISTANT}
 _SAME = 1e-9  # m and pixels, to which R and P that were read still say where the right camera stands
-_KEYS = (
-    re.compile(r"^camera_matrix[ \t]*:", re.MULTILINE),
-    re.compile(r"^(projection_matrix|rectification_matrix|distortion_model)[ \t]*:", re.MULTILINE),
-)
 
 _WIDEST = np.tan(np.radians(80))  # rays farther from the axis do not count in where the view's centre lies
 _SAMPLES = 9  # a side of the image
@@ -82,11 +78,6 @@ class Rectified:
         """Return right_T_left, if this is the right camera's."""
         rotation = self.rotation.T @ left.rotation
         return Pose(rotation, self.rotation.T @ (self.offset - left.offset))
-
-
-def sniff(text: str) -> bool:
-    """Return whether a text has the keys of such a file."""
-    return all(key.search(text) for key in _KEYS)
 
 
 def read(sources: Sequence[Source], given: Given) -> CameraFile:
@@ -321,7 +312,6 @@ FORMAT = CameraFormat(
     title="ROS camera_info",
     suffixes=(".yaml", ".yml"),
     models=tuple(MODELS),
-    sniff=sniff,
     read=read,
     write=write,
     outputs=outputs,
