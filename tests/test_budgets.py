@@ -21,7 +21,7 @@ LINES = {
     "cameras": 2189,
     "cli": 3539,
     "errors": 137,
-    "estimate": 8706,
+    "estimate": 8708,
     "files": 398,
     "formats": 9417,
     "geometry": 963,
