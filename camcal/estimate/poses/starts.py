@@ -178,7 +178,9 @@ def poses_of_triplets(rays: Array, points: Array) -> tuple[Array, Array]:
         positive = np.flatnonzero(distances.min(axis=0) > 0)
         distances, triplet = distances[:, positive], triplet[positive]
         seen = [distance * ray[:, triplet] for distance, ray in zip(distances, rays, strict=True)]
-        states = _aligned(seen, _dual_basis(edges)[:, triplet], points[0][:, triplet])
+        normal = _cross(edges[0], edges[1])
+        dual = np.stack([*_cross(normal, edges[1]), *_cross(edges[0], normal), *normal]) / _dot(normal, normal)
+        states = _aligned(seen, dual[:, triplet], points[0][:, triplet])
         sound = np.isfinite(states.sum(axis=(0, 1)))
     states = states.transpose(2, 0, 1)
     return (states, triplet) if sound.all() else (states[sound], triplet[sound])
@@ -309,17 +311,11 @@ def _excess(distances: Array, lengths: Array, cosines: Array) -> Form:
     return tuple(one * one + two * two - 2 * cosine * one * two - length for one, two, length, cosine in pairs)
 
 
-def _dual_basis(edges: Array) -> Array:
-    """Return g (9, T), three vectors, with gᵢ · fⱼ = δᵢⱼ of two edges f from a corner and their cross product."""
-    first, second = -edges[0], -edges[1]
-    normal = _cross(first, second)
-    return np.stack([*_cross(second, normal), *_cross(normal, first), *normal]) / _dot(normal, normal)
-
-
 def _aligned(seen: Rows, dual: Array, corner: Array) -> Array:
     """Return the states (3, 4, S) that take triangles to congruent ones, of corners seen, three of (3, S).
 
-    dual: (9, S) the dual basis of a triangle. corner: (3, S) its first corner.
+    dual: (9, S) three vectors g with gᵢ · fⱼ = δᵢⱼ, f the edges from a triangle's first corner (3, S) and their cross
+    product.
     """
     first, second = seen[1] - seen[0], seen[2] - seen[0]
     states = np.empty((3, 4, corner.shape[1]))
