@@ -81,6 +81,14 @@ def parse_size(text: str) -> tuple[int, int]:
     return size
 
 
+def parse_crop(text: str) -> tuple[int, int, int, int]:
+    """Return (width, height, x, y) from a part written as 640x480+10+20; raises ValueError for anything else."""
+    size, *corner = text.split("+")
+    if len(corner) != 2 or not all(each.isdecimal() for each in corner):
+        raise ValueError(text)
+    return (*parse_size(size), parse_integer(corner[0]), parse_integer(corner[1]))
+
+
 TEXT = ValueType(str, str, "a text")
 PATH = ValueType(Path, str, "a path")
 INTEGER = ValueType(parse_integer, str, "a whole number")
@@ -89,6 +97,9 @@ MILLIMETRES, MICROMETRES, MILLISECONDS = scaled(1e-3), scaled(1e-6), scaled(1e-3
 DEGREES = scaled(pi / 180)
 NUMBERS = separated("numbers, separated by commas")
 SIZE = ValueType(parse_size, lambda size: "{}x{}".format(*size), "a size, written as WIDTHxHEIGHT such as 1920x1080")
+CROP = ValueType(
+    parse_crop, lambda part: "{}x{}+{}+{}".format(*part), "a part, written as WxH+X+Y such as 640x480+10+20"
+)
 NAMES = ValueType(
     lambda text: tuple(name for part in text.split(",") if (name := part.strip())), ",".join, "names, with commas"
 )

@@ -11,6 +11,7 @@ from typing import Annotated
 from camcal.errors import InvalidInput
 from camcal.options import (
     BOARD,
+    CROP,
     GENERAL,
     INPUT,
     NUMBERS,
@@ -154,6 +155,7 @@ class GivenCamera(OptionsRecord):
 
     camera_matrix: fx, fy, cx, cy, pixels; None for a file. distortion: OpenCV's coefficients. size: (width, height) of
     the images, None for that of the first one. model: the lens model of four coefficients, which may be a fisheye's.
+    crop (width, height, x, y), binning, scale_to: which part of its images others are, in this order.
     """
 
     camera_matrix: Annotated[
@@ -185,6 +187,33 @@ class GivenCamera(OptionsRecord):
             "Lens model of four coefficients, if the file does not state it: fisheye, or opencv4 for k1,k2,p1,p2.",
             metavar="NAME",
             group=INPUT,
+        ),
+    ] = None
+    crop: Annotated[
+        tuple[int, int, int, int] | None,
+        Option(
+            "The images are this part of those that the camera is for: its size and its top-left pixel.",
+            metavar="WxH+X+Y",
+            group=INPUT,
+            type=CROP,
+        ),
+    ] = None
+    binning: Annotated[
+        int | None,
+        Option(
+            "So many pixels a side of the camera's images, after --crop, are one of these.",
+            metavar="N",
+            group=INPUT,
+            least=1,
+        ),
+    ] = None
+    scale_to: Annotated[
+        tuple[int, int] | None,
+        Option(
+            "Size that the camera's images, after --crop and --binning, were resized to.",
+            metavar="WxH",
+            group=INPUT,
+            type=SIZE,
         ),
     ] = None
 
