@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
 
 from camcal.errors import InvalidInput
-from camcal.parsing import did_you_mean, parse_integer, parse_number, parse_numbers
+from camcal.parsing import did_you_mean, parse_crop, parse_integer, parse_number, parse_numbers, parse_size
 from camcal.records import Brief
 
 INPUT, BOARD, LENS, RAW_FRAMES = "Input", "Board", "Lens", "Raw frames"
@@ -68,25 +68,6 @@ def separated(needed: str, separator: str = ",", count: int | None = None) -> Va
         return numbers
 
     return ValueType(read, lambda values: separator.join(map(NUMBER.write, values)), needed)
-
-
-def parse_size(text: str) -> tuple[int, int]:
-    """Return (width, height) from a size written as 1920x1080; raises ValueError for anything else."""
-    width, _, height = text.lower().partition("x")
-    if not (width.isdecimal() and height.isdecimal()):
-        raise ValueError(text)
-    size = parse_integer(width), parse_integer(height)
-    if not all(size):
-        raise ValueError(text)
-    return size
-
-
-def parse_crop(text: str) -> tuple[int, int, int, int]:
-    """Return (width, height, x, y) from a part written as 640x480+10+20; raises ValueError for anything else."""
-    size, *corner = text.split("+")
-    if len(corner) != 2 or not all(each.isdecimal() for each in corner):
-        raise ValueError(text)
-    return (*parse_size(size), parse_integer(corner[0]), parse_integer(corner[1]))
 
 
 TEXT = ValueType(str, str, "a text")

@@ -46,7 +46,7 @@ LINES = {
     "urls": 99,
 }
 PARTS = {"modules": 434, "records": 654, "records named in one module": 197, "short functions with one reference": 494}
-PASSED = {"modules": 146, "functions": 1111, "records": 126}  # from a table of detections to a camera file
+PASSED = {"modules": 148, "functions": 1125, "records": 127}  # from a table of detections to a camera file
 SHORT = 5  # lines of a function's body, which could as well stand where it is called
 
 

@@ -15,8 +15,8 @@ from camcal.options import command_line
 from camcal.progress import SILENT, Progress
 from camcal.run.outputs import claim, writes
 from camcal.run.paths import split_address
+from camcal.tasks.convert_options import ConvertFileOptions
 from camcal.tasks.given_camera import framing_of, require_no_image
-from camcal.tasks.options import ConvertFileOptions
 
 
 @dataclass(frozen=True, eq=False)

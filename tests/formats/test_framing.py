@@ -80,21 +80,3 @@ def test_the_joint_covariance_of_a_rig_is_carried_along():
     assert file.cameras["left"].noise is None
     assert file.cameras["left"].camera.image_size == (376, 240)
     assert framed(file, Framing()) is file
-
-
-def test_commands_take_a_part_of_the_image(run, tmp_path):
-    from camcal.formats import cameras
-
-    cameras.write(tmp_path / "a.xml", CameraFile({"camera": CameraEntry(camera())}), cameras.FORMATS["opencv"])
-    code, _, err = run("convert", tmp_path / "a.xml", tmp_path / "b.yaml", "--crop", "640x400+20+30", "--binning", "2")
-    assert (code, err) == (0, "")
-    found = cameras.read_camera(tmp_path / "b.yaml")
-    assert found.image_size == (320, 200)
-    assert found.value("cx") == pytest.approx((367.2 - 20 + 0.5) / 2 - 0.5)
-    code, _, err = run("convert", tmp_path / "a.xml", tmp_path / "c.yaml", "--scale-to", "1504x960")
-    assert code == 0
-    assert cameras.read_camera(tmp_path / "c.yaml").value("fx") == pytest.approx(2 * 458.6)
-    for wrong, said in (("640x480", "written as WxH+X+Y"), ("800x400+0+0", "not within the image")):
-        code, _, err = run("convert", tmp_path / "a.xml", tmp_path / "d.yaml", "--crop", wrong)
-        assert code == 2
-        assert said in err
