@@ -104,10 +104,15 @@ def covariance_of(
     others = _weights_of_others(left_out, metric, evidence, products)
     scatter = _scatter(estimates, left_out, weights, others)
     lens, views, size = len(metric), len(left_out[0]), len(claimed)
+    # In independent standard deviations of the claim, each parameter after those before it: with a scale of its own for
+    # some of them, what depends on differences of parameters would otherwise be torn apart.
+    root = np.linalg.cholesky(claimed)
+    unit = np.linalg.solve(root, np.linalg.solve(root, scatter).T)
+    own_metric = root[:lens].T @ metric @ root[:lens]
 
     def ratio(chosen: slice) -> float:
         scatter_px, claimed_px = (
-            float(np.sum(own[:lens, :lens][chosen, chosen] * metric[chosen, chosen])) for own in (scatter, claimed)
+            float(np.sum(own[chosen, chosen] * own_metric[chosen, chosen])) for own in (unit, np.eye(size))
         )
         # of corners without noise both may be rounding, of either sign
         return scatter_px / claimed_px if min(scatter_px, claimed_px) > 0 else 1.0
@@ -117,9 +122,9 @@ def covariance_of(
         ratios[chosen], further[chosen] = ratio(chosen), chosen.stop - chosen.start
     scale = np.sqrt(ratios)
     of_scatter, of_claimed = np.sqrt(views / (views + further)), scale * np.sqrt(further / (views + further))
-    mixed = np.outer(of_scatter, of_scatter) * scatter + np.outer(of_claimed, of_claimed) * claimed
+    mixed = np.outer(of_scatter, of_scatter) * unit + np.diag(of_claimed**2)
     least = np.maximum(1 / scale, 1.0)
-    mixed *= np.outer(least, least)
+    mixed = root @ (np.outer(least, least) * mixed) @ root.T
     doubted = evidence + (1 - evidence) * min((_FEW / views) ** 2, 1.0)
     result = doubted * mixed + (1 - doubted) * claimed
     return np.asarray((result + result.T) / 2)  # sums of strongly correlated parameters are symmetric to rounding only
