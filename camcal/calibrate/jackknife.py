@@ -29,6 +29,7 @@ from camcal.solve.dense import minimise_nonnegative
 _FINEST = 1e-9  # of the spread's trace: that weights are determined
 _ALIKE = 10.0  # views that count for estimates of equal scatter
 _FEW = 7.0  # views that hardly show what errors they share
+_ROUNDING = 1e-12  # of the variances that are claimed
 
 _DOF = 4.0  # of the Student distribution
 _OUTLIERS, _REACH = 0.01, 20.0  # the share of corners that may be anywhere within so many pixels
@@ -104,15 +105,15 @@ def covariance_of(
     others = _weights_of_others(left_out, metric, evidence, products)
     scatter = _scatter(estimates, left_out, weights, others)
     lens, views, size = len(metric), len(left_out[0]), len(claimed)
-    # In independent standard deviations of the claim, each parameter after those before it: with a scale of its own for
-    # some of them, what depends on differences of parameters would otherwise be torn apart.
-    root = np.linalg.cholesky(claimed)
-    unit = np.linalg.solve(root, np.linalg.solve(root, scatter).T)
-    own_metric = root[:lens].T @ metric @ root[:lens]
+    # Scales of single blocks are of what a block has besides the blocks before it. Were they of blocks themselves, errors
+    # that cancel between blocks would no longer do so, and a depth, which they leave alone, would be uncertain.
+    root = np.linalg.cholesky(claimed + _ROUNDING * np.diag(np.diag(claimed))) if blocks else np.eye(size)
+    scatter, claims = (np.linalg.solve(root, np.linalg.solve(root, own).T) for own in (scatter, claimed))
+    metric = root[:lens].T @ metric @ root[:lens]
 
     def ratio(chosen: slice) -> float:
         scatter_px, claimed_px = (
-            float(np.sum(own[chosen, chosen] * own_metric[chosen, chosen])) for own in (unit, np.eye(size))
+            float(np.sum(own[chosen, chosen] * metric[chosen, chosen])) for own in (scatter, claims)
         )
         # of corners without noise both may be rounding, of either sign
         return scatter_px / claimed_px if min(scatter_px, claimed_px) > 0 else 1.0
@@ -122,7 +123,7 @@ def covariance_of(
         ratios[chosen], further[chosen] = ratio(chosen), chosen.stop - chosen.start
     scale = np.sqrt(ratios)
     of_scatter, of_claimed = np.sqrt(views / (views + further)), scale * np.sqrt(further / (views + further))
-    mixed = np.outer(of_scatter, of_scatter) * unit + np.diag(of_claimed**2)
+    mixed = np.outer(of_scatter, of_scatter) * scatter + np.outer(of_claimed, of_claimed) * claims
     least = np.maximum(1 / scale, 1.0)
     mixed = root @ (np.outer(least, least) * mixed) @ root.T
     doubted = evidence + (1 - evidence) * min((_FEW / views) ** 2, 1.0)

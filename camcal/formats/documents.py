@@ -14,6 +14,7 @@ import json
 import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple, NoReturn
@@ -132,24 +133,28 @@ def parse_foreign(text: str, where: str) -> Document:
     """Return the document in YAML or JSON as other programs write it.
 
     Beyond `parse`: a first line %YAML:1.0 or %YAML 1.2 and tags are passed over, and what only YAML 1.1 takes for a
-    number or a date is text. Raises as `parse` does.
+    number or a date is text; so is NaN of JSON. Raises as `parse` does.
     """
+    if text.lstrip()[:1] == "{":
+        with suppress(InvalidInput, ValueError, RecursionError):  # numbers as OpenCV writes them, 1., are none of JSON
+            data = json.loads(text, object_pairs_hook=_json_mapping, parse_constant=str, parse_int=_json_integer)
+            return Document(where, data, {})
     text = re.sub(r"\A%YAML[^\n]*", "", text)  # the line stays, so that others keep their numbers
     return _parse(text, _Builder(where, MAX_FOREIGN_VALUES, foreign=True), None)
 
 
 def _parse(text: str, builder: "_Builder", check: Check | None) -> Document:
     """Return the document of a text, having passed `check` over its data."""
-    where = builder.where
+    where, kind = builder.where, "text" if builder.foreign else "YAML"
     try:
         data = builder.document(yaml.parse(text, Loader=_LOADER))
     except yaml.MarkedYAMLError as error:
         line = error.problem_mark.line + 1 if error.problem_mark else 1
-        raise FileError(f"invalid or truncated YAML: {error.problem}", where=f"{where}:{line}") from error
+        raise FileError(f"invalid or truncated {kind}: {error.problem}", where=f"{where}:{line}") from error
     except yaml.YAMLError as error:
-        raise FileError(f"invalid YAML: {str(error).splitlines()[0]}", where=where) from error
+        raise FileError(f"invalid {kind}: {str(error).splitlines()[0]}", where=where) from error
     if not isinstance(data, dict):
-        raise FileError("not a YAML mapping (key: value): check that this is the right file", where=where)
+        raise FileError(f"not a {kind} mapping (key: value): check that this is the right file", where=where)
     document = Document(where, data, builder.lines)
     findings = check(data, "") if check else ()
     faults = [*builder.faults, *(fault for fault in findings if fault.path not in builder.without_value)]

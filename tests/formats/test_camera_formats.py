@@ -310,9 +310,9 @@ BAD = {
     ROS.replace("plumb_bob", "thin_prism"): "distortion_model: 'thin_prism' is not one of plumb_bob",
     ROS.replace("plumb_bob", "equidistant"): "5 numbers; equidistant has 4",
     ROS.replace("image_width: 640\n", ""): "has no image_width",
-    KALIBR.replace("pinhole", "ds"): "'ds' is not among camcal's lens models",
-    KALIBR.replace("radtan", "fov"): "'fov' is not one of none, radtan, equidistant",
-    KALIBR.replace("461, ", ""): "3 numbers; 4 are needed",
+    KALIBR.replace("pinhole", "ds"): "'ds-radtan' is not a lens of this program; read are pinhole-none, pinhole-radtan",
+    KALIBR.replace("radtan", "fov"): "'pinhole-fov' is not among camcal's lens models",
+    KALIBR.replace("461, ", ""): "7 numbers; pinhole-radtan has 8",
     KALIBR.replace("[752,", "[1e+7,"): "1e+07 x 480 is not a width and height in pixels",
     KALIBR.replace("461, ", "1e-30, "): "is outside [0.001, 1e+10]",
     f"{BOTH}{LENS.replace('500.5', '1e300', 1)}": "1e+300 is outside [-1e+12, 1e+12]",
@@ -324,7 +324,7 @@ BAD = {
     '<?xml version="1.0"?><!DOCTYPE x [<!ENTITY a "b">]><opencv_storage>&a;</opencv_storage>': "document type",
     "<opencv_storage>" + "<a>" * 100 + "</a>" * 100 + "</opencv_storage>": "more than 32 levels",
     "<opencv_storage><a>" + " 1" * (5 << 20) + "</a></opencv_storage>": "more than 8388608 characters in <a>",
-    '{"camera_matrix": {"type_id": "opencv-matrix", "rows": 3,': "invalid or truncated YAML",
+    '{"camera_matrix": {"type_id": "opencv-matrix", "rows": 3,': "invalid or truncated text",
 }
 
 

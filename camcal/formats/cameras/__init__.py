@@ -1,21 +1,22 @@
 """Camera files of camcal and of other programs: detected by content, read to one record and written from it.
 
-A format is a module with its FORMAT, and the line with the name of that module here.
+A format is a module with its FORMAT and a row of `recognition`; it is loaded when a file is of it, or is to be.
 """
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib import import_module
 from math import ceil, floor, isfinite, log10
 from pathlib import Path
-from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from camcal import files
 from camcal.cameras.catalogue import MODELS
 from camcal.cameras.model import Camera
-from camcal.errors import InvalidInput
+from camcal.errors import CamcalError, FileError, InvalidInput
 from camcal.formats.camera_file import CameraEntry, CameraFile
+from camcal.formats.cameras.recognition import ROWS, Row, named, recognise
 from camcal.formats.cameras.record import CameraFormat, Given, Source, expressed, lost_coefficients
 from camcal.formats.native import implausible
 from camcal.geometry.pose import frames_of
@@ -27,13 +28,30 @@ if TYPE_CHECKING:
 
 OWN = "camcal"
 
-# In the order in which they are asked whether a file is theirs: those that are told by less come last.
-_MODULES = ("camcal_native", "kalibr", "ros", "opencv")
-_REGISTERED: dict[str, CameraFormat] = {
-    form.name: form for form in (import_module(f"camcal.formats.cameras.{name}").FORMAT for name in _MODULES)
-}
-FORMATS: Mapping[str, CameraFormat] = MappingProxyType(_REGISTERED)
-SUFFIXES = tuple(dict.fromkeys(suffix for form in FORMATS.values() for suffix in form.suffixes))
+_USUAL = (OWN, "kalibr", "ros", "opencv")  # whose files may have any name; the others' have one that tells them
+
+
+class _Registry(Mapping[str, CameraFormat]):
+    """The formats that are read, by name, each loaded when it is asked for."""
+
+    def __init__(self) -> None:
+        self.modules = {row.name.removesuffix("_native"): row.name for row in ROWS if row.name}
+
+    def __getitem__(self, name: str) -> CameraFormat:
+        form: CameraFormat = import_module(f"camcal.formats.cameras.{self.modules[name]}").FORMAT
+        return form
+
+    def __contains__(self, name: object) -> bool:
+        return name in self.modules
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.modules)
+
+    def __len__(self) -> int:
+        return len(self.modules)
+
+
+FORMATS: Mapping[str, CameraFormat] = _Registry()
 
 _LARGEST = 64 << 20
 _NOTHING = Given()
@@ -48,19 +66,23 @@ def read(
     Raises InvalidInput for every rule it breaks, MissingSize if nothing says the size of the images, FileError.
     """
     path = Path(path)
-    sources = [Source(each, files.read_text(each, _LARGEST)) for each in (path, second) if each is not None]
-    form = _format_of(sources[0])
+    sources = [source_of(each) for each in (path, second) if each is not None]
+    known = _recognised(sources[0])
+    form = known or FORMATS[OWN]
     if len(sources) > form.files:
         raise InvalidInput(f"--with {second}: the cameras of a {form.title} file are all in one", where=str(path))
-    if len(sources) > 1 and _format_of(sources[1]) != form:
+    if len(sources) > 1 and _recognised(sources[1]) != form:
         raise InvalidInput(f"is not a {form.title} file as {path} is", where=str(second))
+    if known is None:
+        _require_yaml(sources[0])
     try:
         file = form.read(sources, given)
-    except InvalidInput as error:
-        if form.sniff(sources[0].text):
-            raise
-        titles = ", ".join(each.title for each in FORMATS.values())
-        raise InvalidInput(f"{error.message}; formats that are read: {titles}", where=error.where) from error
+    except CamcalError as error:
+        if known is None and isinstance(error, InvalidInput):
+            error.message += f"; formats that are read: {', '.join(each.title for each in FORMATS.values())}"
+        elif form.name != OWN and form.title not in error.message:
+            error.message += f"; read as {form.title}"
+        raise
     if form.name != OWN:
         doubts = (replace(warning, where=f"{path}: {warning.where}") for warning in implausible(file))
         origin = {"file": path.name, "format": form.name, "exact": True}
@@ -69,19 +91,46 @@ def read(
     return file
 
 
+def _require_yaml(source: Source) -> None:
+    """Raise FileError for a file of no family that is no YAML either, and so not one of camcal's own."""
+    if source.binary:
+        raise FileError("is not a text file, and no binary camera file that camcal knows", where=str(source.path))
+    if source.text.lstrip()[:1] == "<":
+        root = re.search(r"<([\w:.-]+)", source.text)
+        what = f"is XML with the root <{root[1][:40]}>" if root else "is XML without a root"
+        raise FileError(f"{what}, of no camera file that camcal knows", where=str(source.path))
+
+
+def source_of(path: Path) -> Source:
+    """Return a file with its text; raises FileError if it cannot be read."""
+    content = files.read_bytes(path, _LARGEST)
+    try:
+        return Source(path, content.decode("utf-8-sig"))
+    except UnicodeDecodeError:
+        return Source(path, content.decode("latin-1"), binary=True)
+
+
 def format_of(path: Path) -> CameraFormat:
-    """Return the format of a camera file, camcal's own if it is of none; raises FileError if it cannot be read."""
-    return _format_of(Source(path, files.read_text(path, _LARGEST)))
+    """Return the format of a camera file, camcal's own if it is of none.
+
+    Raises FileError if it cannot be read, InvalidInput for a family that is not.
+    """
+    return _recognised(source_of(path)) or FORMATS[OWN]
 
 
-def _format_of(source: Source) -> CameraFormat:
-    return next((form for form in FORMATS.values() if form.sniff(source.text)), FORMATS[OWN])
+def _recognised(source: Source) -> CameraFormat | None:
+    """Return the format of a file, None if it is of none; raises InvalidInput for a family that is not read."""
+    row = recognise(source.text)
+    if row is None:
+        return None
+    if row.instead:
+        raise InvalidInput(f"{row.title}: not read; {row.instead}", where=str(source.path))
+    return FORMATS[row.name.removesuffix("_native")]
 
 
 def is_camera_file(path: Path) -> bool:
-    """Return whether a file is of one of the formats; raises FileError if it cannot be read."""
-    text = files.read_text(path, _LARGEST)
-    return any(form.sniff(text) for form in FORMATS.values())
+    """Return whether a file is of a family of camera files; raises FileError if it cannot be read."""
+    return recognise(source_of(path).text) is not None
 
 
 def read_camera(path: str | Path, name: str | None = None) -> Camera:
@@ -109,16 +158,16 @@ def only(file: CameraFile, name: str, where: str) -> CameraFile:
 
 
 def format_for(path: Path, wanted: str | None, source: CameraFormat, *, by_suffix: bool = False) -> CameraFormat:
-    """Return the format to write to a path: the one that is wanted, or the only one its suffix can mean.
+    """Return the format to write to a path: the one that is wanted, or the only one its name can mean.
 
     source: the format of what is written; camera files of other programs, and what goes to standard output, become
-    camcal's where nothing says more. by_suffix: a suffix that one format alone has goes before what is wanted.
+    camcal's where nothing says more. by_suffix: a name or suffix that one format alone has goes before what is wanted.
     Raises InvalidInput for an unknown name, a suffix that does not go with it, and where it is not clear.
     """
     if wanted is not None and wanted not in FORMATS:
         raise InvalidInput(f"--to {wanted}: no camera format of this name{did_you_mean(wanted, FORMATS)}")
-    possible = [form for form in FORMATS.values() if path.suffix.lower() in form.suffixes]
-    if wanted is not None and not (by_suffix and len(possible) == 1):
+    meant = _meant_by(path)
+    if wanted is not None and not (by_suffix and meant is not None):
         form = FORMATS[wanted]
         if files.is_stream(path):
             return form
@@ -127,15 +176,35 @@ def format_for(path: Path, wanted: str | None, source: CameraFormat, *, by_suffi
         return form
     if files.is_stream(path):
         return FORMATS[OWN]
-    if len(possible) == 1:
-        return possible[0]
-    if possible and source.name != OWN:
+    if isinstance(meant, Row):
+        what = f"is a name of {meant.title}, which is not written"
+        raise InvalidInput(f"{what}: choose another one, or give --to and one of {', '.join(FORMATS)}", where=str(path))
+    if meant is not None:
+        return meant
+    known = _with_suffix(path)
+    if known and source.name != OWN:
         return FORMATS[OWN]
-    if not possible and path.suffix:
-        raise InvalidInput(f"{path.suffix} is not a camera file; use one of {' '.join(SUFFIXES)}", where=str(path))
-    names = ", ".join(form.name for form in possible or FORMATS.values())
+    known = known or [form for form in FORMATS.values() if path.suffix.lower() in form.suffixes]
+    if not known and path.suffix:
+        suffixes = dict.fromkeys(suffix for form in FORMATS.values() for suffix in form.suffixes)
+        raise InvalidInput(f"{path.suffix} is not a camera file; use one of {' '.join(suffixes)}", where=str(path))
+    names = ", ".join(form.name for form in known or FORMATS.values())
     kind = path.suffix or "a folder"
-    raise InvalidInput(f"{kind} is written in several formats: give --to and one of {names}", where=str(path))
+    several = "several formats" if len(known) != 1 else "another format only"
+    raise InvalidInput(f"{kind} is written in {several}: give --to and one of {names}", where=str(path))
+
+
+def _meant_by(path: Path) -> CameraFormat | Row | None:
+    """Return the one format that a path can mean, a row that is not written, or None where it may mean several."""
+    row = named(path.name)
+    if row is not None:
+        return row if row.instead else FORMATS[row.name]
+    known = _with_suffix(path)
+    return known[0] if len(known) == 1 else None
+
+
+def _with_suffix(path: Path) -> list[CameraFormat]:
+    return [form for form in (FORMATS[name] for name in _USUAL) if path.suffix.lower() in form.suffixes]
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,12 +228,20 @@ def prepared(file: CameraFile, form: CameraFormat, where: str, max_error_px: flo
     refits: dict[str, Refit] = {}
     entries: dict[str, CameraEntry] = {}
     for name, entry in file.cameras.items():
-        camera = expressed(entry.camera, form.models)
+        camera = _exact(entry.camera, form)
         if camera is None:
             refits[name] = _nearest(entry.camera, name, form, max_error_px, where)
             camera = refits[name].camera
         entries[name] = replace(entry, camera=camera)
     return Prepared(replace(file, cameras=entries), refits)
+
+
+def _exact(camera: Camera, form: CameraFormat) -> Camera | None:
+    """Return a camera in the lens model that a format writes it as, None if that has none which is the same."""
+    if form.lenses is None:
+        return expressed(camera, form.models)
+    row = form.lenses.row(camera)
+    return None if row is None else expressed(camera, (row.model, *form.models))
 
 
 def _nearest(camera: Camera, name: str, form: CameraFormat, max_error_px: float | None, where: str) -> "Refit":
@@ -221,7 +298,7 @@ def _left_out(file: CameraFile, form: CameraFormat) -> Iterator[str]:
         "shape of the board": file.board_shape is not None,
         "provenance": bool(file.provenance),
     }
-    yield from (name for name, there in held.items() if there)
+    yield from (name for name, there in held.items() if there and name not in form.keeps)
     every = [frame for name in file.transforms for frame in frames_of(name)]
     for name in file.transforms:
         ends = [frame for frame in frames_of(name) if every.count(frame) == 1]

@@ -1,6 +1,5 @@
 """camcal's own camera file as one of the formats; see formats.native."""
 
-import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -10,13 +9,6 @@ from camcal.errors import InvalidInput
 from camcal.formats import documents, native
 from camcal.formats.camera_file import CameraFile
 from camcal.formats.cameras.record import CameraFormat, Given, Source
-
-_KEY = re.compile(rf"^[\"']?format[\"']?[ \t]*:[ \t]*[\"']?{native.FORMAT}", re.MULTILINE)
-
-
-def sniff(text: str) -> bool:
-    """Return whether a text is marked as a camera file of camcal."""
-    return _KEY.search(text) is not None
 
 
 def read(sources: Sequence[Source], given: Given) -> CameraFile:
@@ -41,7 +33,6 @@ FORMAT = CameraFormat(
     title="camcal's own",
     suffixes=(".yaml", ".yml"),
     models=tuple(MODELS),
-    sniff=sniff,
     read=read,
     write=write,
 )

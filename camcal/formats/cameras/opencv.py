@@ -7,7 +7,6 @@ metres. R1 R2 P1 P2 Q follow from them and are not read. Nothing but fisheye_mod
 Source: samples/cpp/calibration.cpp, stereo_calib.cpp, tutorial_code/calib3d/camera_calibration of OpenCV.
 """
 
-import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -21,17 +20,8 @@ from camcal.cameras.model import Camera
 from camcal.errors import InvalidInput
 from camcal.formats.camera_file import CameraEntry, CameraFile, Transform, pose_between
 from camcal.formats.cameras import file_storage
-from camcal.formats.cameras.record import (
-    CAMERA,
-    LEFT,
-    RIGHT,
-    CameraFormat,
-    Given,
-    Source,
-    Values,
-    camera_of,
-    opencv_usage,
-)
+from camcal.formats.cameras.record import CAMERA, LEFT, RIGHT, CameraFormat, Given, Source, camera_of, opencv_usage
+from camcal.formats.cameras.values import Values
 from camcal.formats.documents import Document
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import JOINT
@@ -68,14 +58,6 @@ _OF_PAIR = (
 _SIDES = ("1", "2"), ("_1", "_2"), ("_left", "_right"), ("_l", "_r"), ("Left", "Right"), ("L", "R")
 _FLAGS = ("fisheye_model", "fisheye")
 _RMS, _COUNT = ("avg_reprojection_error", "Avg_Reprojection_Error"), ("nframes", "nr_of_frames", "nrOfFrames")
-_KEY = re.compile(
-    r"^[ \t]*[\"']?(?:{})[\"']?[ \t]*:".format("|".join((*_MATRIX, "M1", "K1", "cameraMatrix1"))), re.MULTILINE
-)
-
-
-def sniff(text: str) -> bool:
-    """Return whether a text is one of these files, if it is of none of the other formats."""
-    return file_storage.is_xml(text) or "opencv-matrix" in text or _KEY.search(text) is not None
 
 
 def read(sources: Sequence[Source], given: Given) -> CameraFile:
@@ -225,7 +207,6 @@ FORMAT = CameraFormat(
     title="OpenCV FileStorage",
     suffixes=(".yml", ".yaml", ".xml", ".json"),
     models=MODELS,
-    sniff=sniff,
     read=read,
     write=write,
     usage=opencv_usage,

@@ -8,7 +8,6 @@ R and P of a file that is read are kept (x_ros) and written again. What is writt
 Source: image_common/camera_calibration_parsers/src/parse_yml.cpp; sensor_msgs/CameraInfo.
 """
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,19 +21,9 @@ from camcal.cameras.model import Camera
 from camcal.errors import InvalidInput
 from camcal.formats import emit
 from camcal.formats.camera_file import CameraEntry, CameraFile, Transform, pose_between
-from camcal.formats.cameras.record import (
-    CAMERA,
-    LEFT,
-    RIGHT,
-    CameraFormat,
-    Given,
-    Source,
-    Values,
-    camera_of,
-    opencv_usage,
-)
+from camcal.formats.cameras.record import LEFT, RIGHT, CameraFormat, Given, Source, camera_of, name_of, opencv_usage
+from camcal.formats.cameras.values import Values
 from camcal.formats.documents import parse_foreign
-from camcal.formats.native import NAME
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import JOINT, Pose
 from camcal.messages import Message
@@ -50,10 +39,6 @@ _BY_COUNT = {
 }
 _OTHER_NAMES = {"": PLUMB_BOB, "fisheye": EQUIDISTANT}
 _SAME = 1e-9  # m and pixels, to which R and P that were read still say where the right camera stands
-_KEYS = (
-    re.compile(r"^camera_matrix[ \t]*:", re.MULTILINE),
-    re.compile(r"^(projection_matrix|rectification_matrix|distortion_model)[ \t]*:", re.MULTILINE),
-)
 
 _WIDEST = np.tan(np.radians(80))  # rays farther from the axis do not count in where the view's centre lies
 _SAMPLES = 9  # a side of the image
@@ -84,11 +69,6 @@ class Rectified:
         return Pose(rotation, self.rotation.T @ (self.offset - left.offset))
 
 
-def sniff(text: str) -> bool:
-    """Return whether a text has the keys of such a file."""
-    return all(key.search(text) for key in _KEYS)
-
-
 def read(sources: Sequence[Source], given: Given) -> CameraFile:
     """Return the camera of a file, or those of two files with right_T_left, metres.
 
@@ -98,7 +78,7 @@ def read(sources: Sequence[Source], given: Given) -> CameraFile:
     entries = [_entry(each, given) for each in values]
     warnings = tuple(warning for each in values for warning in each.warnings)
     if len(entries) == 1:
-        return CameraFile({_name(values[0]): entries[0]}, warnings=warnings)
+        return CameraFile({name_of(values[0].text("camera_name")): entries[0]}, warnings=warnings)
     places = [_rectified(each) for each in values]
     if None in places:
         raise InvalidInput(
@@ -170,11 +150,6 @@ def _doubts(right: Values, of_left: Rectified, of_right: Rectified) -> list[Mess
         text = "differs from that of the left file in more than the baseline: check that both are of one pair"
         doubts.warn("inconsistent_projections", "projection_matrix", text)
     return doubts.warnings
-
-
-def _name(values: Values) -> str:
-    name = re.sub(r"[^A-Za-z0-9]+", "_", values.text("camera_name")).strip("_")
-    return name if NAME.match(name) and JOINT not in name else CAMERA
 
 
 def outputs(path: Path, file: CameraFile) -> tuple[Path, ...]:
@@ -321,7 +296,6 @@ FORMAT = CameraFormat(
     title="ROS camera_info",
     suffixes=(".yaml", ".yml"),
     models=tuple(MODELS),
-    sniff=sniff,
     read=read,
     write=write,
     outputs=outputs,

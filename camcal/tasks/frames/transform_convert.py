@@ -37,6 +37,7 @@ from camcal.run.pose_sources import files_of, read_one, read_transforms, split_n
 from camcal.stereo.points.frames import METRES, NORMAL, POSITION, VertexStream
 from camcal.tasks.frames.options import ConvertOptions, Output, PointsOptions
 from camcal.tasks.frames.transform import write
+from camcal.tasks.options import CAMERA_SUFFIXES
 
 _UNNAMED = ("a", "b")
 _KINDS = {"tum": "tum", "kitti": "kitti", "ros": "tf"}
@@ -179,7 +180,7 @@ def _principal_points_of(sources: Sequence[str], progress: Progress) -> dict[str
     """Return cx and cy (px) of the cameras of camera files among the sources, which count from pixel centres."""
     found: dict[str, tuple[float, float]] = {}
     for path in dict.fromkeys(files_of(sources)):
-        if path.suffix.lower() in cameras.SUFFIXES and cameras.is_camera_file(path):
+        if path.suffix.lower() in CAMERA_SUFFIXES and cameras.is_camera_file(path):
             known = {name: entry.camera for name, entry in cameras.read(path, progress).cameras.items()}
             found |= {name: (camera.value("cx"), camera.value("cy")) for name, camera in known.items()}
     return found
