@@ -105,8 +105,8 @@ def covariance_of(
     others = _weights_of_others(left_out, metric, evidence, products)
     scatter = _scatter(estimates, left_out, weights, others)
     lens, views, size = len(metric), len(left_out[0]), len(claimed)
-    # Scales of single blocks are of what a block has besides the blocks before it. Were they of blocks themselves, errors
-    # that cancel between blocks would no longer do so, and a depth, which they leave alone, would be uncertain.
+    # Scales of single blocks are of what a block has besides the blocks before it. Were they of blocks themselves,
+    # errors that cancel between blocks no longer would, and a depth, which they leave alone, would be uncertain.
     root = np.linalg.cholesky(claimed + _ROUNDING * np.diag(np.diag(claimed))) if blocks else np.eye(size)
     scatter, claims = (np.linalg.solve(root, np.linalg.solve(root, own).T) for own in (scatter, claimed))
     metric = root[:lens].T @ metric @ root[:lens]
