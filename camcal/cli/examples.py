@@ -110,6 +110,14 @@ _CALLS = {  # a comment with the purpose above each call, as in a shell
         # Size, pattern and exposure of a raw frame
         inspect IMG_0001.DNG
     """,
+    "check": """
+        # Whether last month's calibration still holds
+        check camera.yaml today/*.png
+        # All cameras of a rig and how they stand to each other, for a build server
+        check rig.yaml left=today/left right=today/right --junit check.xml
+        # By how much a camera has moved against a board that has not
+        check camera.yaml now.png --reference installed.yaml
+    """,
     "diff": """
         # Whether two calibrations are of the same camera
         diff monday.yaml friday.yaml
