@@ -9,6 +9,8 @@ from pathlib import Path
 from camcal.cameras.catalogue import MODELS
 from camcal.cameras.lens import CameraModel
 from camcal.formats.cameras import FORMATS
+from camcal.formats.cameras.lenses import order
+from camcal.formats.cameras.recognition import ROWS
 from camcal.formats.cameras.record import CameraFormat
 from camcal.formats.native_entry import CORE
 
@@ -30,18 +32,36 @@ def with_models(page: str, models: Iterable[CameraModel]) -> str:
     )
 
 
+ORIGINS = {0.0: "0", 0.5: "½", 1.0: "1"}
+
+
 def format_row(form: CameraFormat) -> str:
     """Return a camera format's row of the table."""
     suffixes = " ".join(f"`{suffix}`" for suffix in form.suffixes)
     lenses = "all" if set(form.models) == set(MODELS) else " ".join(f"`{name}`" for name in form.models)
     cameras = "any number" if form.most_cameras is None else f"up to {form.most_cameras}"
-    return f"| {form.title} | `{form.name}` | {suffixes} | {cameras} | {lenses} |"
+    lens = form.lenses
+    counted = "0" if lens is None else "from the middle" if lens.centred else ORIGINS[lens.origin]
+    others = (counted, form.poses, lenses, form.note.replace("|", "\\|"))
+    return f"| {form.title} | `{form.name}` | {suffixes} | {cameras} | {' | '.join(others)} |"
+
+
+def order_row(form: CameraFormat) -> str:
+    """Return how a format orders the parameters of its lenses."""
+    orders = order(form.lenses).items() if form.lenses else ()
+    return f"| `{form.name}` | " + "<br>".join(f"{word}: `{keys}`" for word, keys in orders) + " |"
 
 
 def with_formats(page: str, forms: Iterable[CameraFormat]) -> str:
     """Return the page with a row for every camera format."""
-    head = ["| format | `--to` | written as | cameras | lens models written |", "|---|---|---|---|---|"]
-    return _with_table(page, _FORMATS, [*head, *map(format_row, forms)])
+    forms = list(forms)
+    titles = ("format", "`--to`", "written as", "cameras", "pixel (0, 0)", "transforms", "lens models written", "use")
+    lines = [f"| {' | '.join(titles)} |", "|---" * len(titles) + "|", *map(format_row, forms), ""]
+    lines += ["| `--to` | parameters of its lenses, in its order |", "|---|---|"]
+    lines += [order_row(form) for form in forms if form.lenses is not None]
+    lines += ["", "| known, and not read | instead |", "|---|---|"]
+    lines += [f"| {row.title} | {row.instead} |" for row in ROWS if row.instead]
+    return _with_table(page, _FORMATS, lines)
 
 
 def _with_table(page: str, start: str, lines: Iterable[str]) -> str:

@@ -117,5 +117,6 @@ def words(converted: ConvertedFile) -> str:
         for name, found in converted.refits.items()
     ]
     left_out = f"; not stored: {', '.join(converted.left_out)}" if converted.left_out else ""
-    usage = f"; {converted.format.usage(converted.file)}" if converted.format.usage else ""
+    said = converted.format.usage(converted.file) if converted.format.usage else converted.format.note
+    usage = f"; {said}" if said else ""
     return f"{converted.format.title}, {', '.join(refits) or 'exact'}{left_out}{usage}"

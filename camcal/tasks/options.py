@@ -30,7 +30,7 @@ from camcal.raw.options import NO_LAYOUT, GivenLayout
 from camcal.tasks.gates import NO_GATES, CameraGates
 from camcal.tasks.suggestions import board_kinds, camera_formats, format_names
 
-CAMERA_SUFFIXES = (".yaml", ".yml", ".xml", ".json")  # of camera files, of all formats
+CAMERA_SUFFIXES = (".yaml", ".yml", ".xml", ".json", ".toml", ".cameramodel", ".txt", ".bin", ".ini", ".mat", ".m")
 
 FIGURES = Written((".png", ".svg", ".pdf"))
 CAMERA_FILE = Written((".yaml", ".yml", ""), stdout=True)
@@ -300,12 +300,12 @@ class ConvertFileOptions(OptionsRecord):
     """
 
     source: Annotated[
-        str, Argument("Camera file of camcal, OpenCV, ROS or Kalibr, or FILE#NAME for one camera of it.", metavar="IN")
+        str, Argument("Camera file of camcal or another program, or FILE#NAME for one camera of it.", metavar="IN")
     ]
     outputs: Annotated[
         tuple[Path, ...],
         Argument(
-            "The files to write; a folder for a pair in ROS's format.",
+            "The files to write; a folder for a pair in ROS's format, or a rig in mrcal's.",
             metavar="OUT…",
             group=OUTPUT,
             recorded=False,
@@ -316,7 +316,7 @@ class ConvertFileOptions(OptionsRecord):
     second: Annotated[
         Path | None,
         Option(
-            "Second file of a pair: the other camera's of ROS, extrinsics.yml of OpenCV.",
+            "Second file: the other camera's of ROS or mrcal, extrinsics.yml of OpenCV, rigs.txt of COLMAP.",
             metavar="FILE",
             group=INPUT,
             names="--with",

@@ -184,12 +184,14 @@ def format_for(path: Path, wanted: str | None, source: CameraFormat, *, by_suffi
     known = _with_suffix(path)
     if known and source.name != OWN:
         return FORMATS[OWN]
+    known = known or [form for form in FORMATS.values() if path.suffix.lower() in form.suffixes]
     if not known and path.suffix:
         suffixes = dict.fromkeys(suffix for form in FORMATS.values() for suffix in form.suffixes)
         raise InvalidInput(f"{path.suffix} is not a camera file; use one of {' '.join(suffixes)}", where=str(path))
     names = ", ".join(form.name for form in known or FORMATS.values())
     kind = path.suffix or "a folder"
-    raise InvalidInput(f"{kind} is written in several formats: give --to and one of {names}", where=str(path))
+    several = "several formats" if len(known) != 1 else "another format only"
+    raise InvalidInput(f"{kind} is written in {several}: give --to and one of {names}", where=str(path))
 
 
 def _meant_by(path: Path) -> CameraFormat | Row | None:
@@ -226,12 +228,20 @@ def prepared(file: CameraFile, form: CameraFormat, where: str, max_error_px: flo
     refits: dict[str, Refit] = {}
     entries: dict[str, CameraEntry] = {}
     for name, entry in file.cameras.items():
-        camera = expressed(entry.camera, form.models)
+        camera = _exact(entry.camera, form)
         if camera is None:
             refits[name] = _nearest(entry.camera, name, form, max_error_px, where)
             camera = refits[name].camera
         entries[name] = replace(entry, camera=camera)
     return Prepared(replace(file, cameras=entries), refits)
+
+
+def _exact(camera: Camera, form: CameraFormat) -> Camera | None:
+    """Return a camera in the lens model that a format writes it as, None if that has none which is the same."""
+    if form.lenses is None:
+        return expressed(camera, form.models)
+    row = form.lenses.row(camera)
+    return None if row is None else expressed(camera, (row.model, *form.models))
 
 
 def _nearest(camera: Camera, name: str, form: CameraFormat, max_error_px: float | None, where: str) -> "Refit":
@@ -288,7 +298,7 @@ def _left_out(file: CameraFile, form: CameraFormat) -> Iterator[str]:
         "shape of the board": file.board_shape is not None,
         "provenance": bool(file.provenance),
     }
-    yield from (name for name, there in held.items() if there)
+    yield from (name for name, there in held.items() if there and name not in form.keeps)
     every = [frame for name in file.transforms for frame in frames_of(name)]
     for name in file.transforms:
         ends = [frame for frame in frames_of(name) if every.count(frame) == 1]

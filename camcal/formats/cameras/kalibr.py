@@ -18,17 +18,31 @@ from camcal import files
 from camcal.errors import InvalidInput
 from camcal.formats import emit
 from camcal.formats.camera_file import CameraEntry, CameraFile, Transform, pose_between
-from camcal.formats.cameras.record import CameraFormat, Given, Source, Values, camera_of
+from camcal.formats.cameras.lenses import Lenses
+from camcal.formats.cameras.record import CameraFormat, Given, Source
+from camcal.formats.cameras.values import Values
 from camcal.formats.documents import parse_foreign
-from camcal.geometry.pose import JOINT, Pose
+from camcal.geometry.pose import JOINT
 from camcal.messages import Message
 
 VENDOR_KEY = "x_kalibr"
 IMU = "imu"
-MODELS = {"pinhole": "none", "opencv4": "radtan", "kannala_brandt4": "equidistant"}
+LENSES = Lenses(
+    """
+    pinhole-none pinhole fx fy cx cy
+    pinhole-radtan opencv4 fx fy cx cy k1 k2 p1 p2
+    pinhole-equidistant kannala_brandt4 fx fy cx cy k1 k2 k3 k4
+    pinhole-fov fov fx fy cx cy w
+    omni-none mei xi fx fy cx cy
+    omni-radtan mei xi fx fy cx cy k1 k2 p1 p2
+    ds-none double_sphere xi alpha fx fy cx cy
+    eucm-none eucm alpha beta fx fy cx cy
+    """,
+    instead="calibrate with --models pinhole-radtan or pinhole-equi",
+)
 
-_LENSES = {word: model for model, word in MODELS.items()} | {"radial-tangential": "opencv4", "equi": "kannala_brandt4"}
-_COUNTS = {"pinhole": 0, "opencv4": 4, "kannala_brandt4": 4}
+_OTHER_WORDS = {"": "none", "radial-tangential": "radtan", "equi": "equidistant"}
+_DISTORTION = re.compile(r"[kpw]\d?\Z")
 _KEPT = ("rostopic", "cam_overlaps", "timeshift_cam_imu", "line_delay")
 _CAMERA = re.compile(r"cam\d+\Z")
 _ADVICE = "calibrate with --models pinhole-radtan or pinhole-equi"
@@ -49,7 +63,7 @@ def read(sources: Sequence[Source], given: Given) -> CameraFile:
     transforms: dict[str, Transform] = {}
     for before, name in zip([None, *names], names, strict=False):
         if before is not None and "T_cn_cnm1" in values[name]:
-            transforms[f"{name}{JOINT}{before}"] = Transform(_pose(values[name], "T_cn_cnm1"))
+            transforms[f"{name}{JOINT}{before}"] = Transform(values[name].rigid("T_cn_cnm1"))
         elif before is not None:
             values[name].warnings += _apart(values[name], name)
     cameras = {name: _entry(each, given) for name, each in values.items()}
@@ -76,7 +90,7 @@ def _of_imu(values: Values, name: str, file: CameraFile) -> dict[str, Transform]
     if not _has_imu(values):
         return {}
     key = "T_cam_imu" if "T_cam_imu" in values else "T_imu_cam"
-    pose = _pose(values, key)
+    pose = values.rigid(key)
     pose = pose if key == "T_cam_imu" else pose.inverse()
     known = pose_between(file, name, IMU)
     if known is None:
@@ -88,28 +102,16 @@ def _of_imu(values: Values, name: str, file: CameraFile) -> dict[str, Transform]
     return {}
 
 
-def _pose(values: Values, key: str) -> Pose:
-    matrix = values.matrix(key, 4, 4)
-    if not np.allclose(matrix[3], (0, 0, 0, 1), rtol=0, atol=1e-9):
-        raise values.wrong(key, f"its last row is {matrix[3].tolist()}, not 0 0 0 1")
-    return values.pose(key, matrix[:3, :3], matrix[:3, 3])
-
-
 def _entry(values: Values, given: Given) -> CameraEntry:
-    kind = values.text("camera_model")
-    if kind != "pinhole":
-        raise values.wrong("camera_model", f"{kind!r} is not among camcal's lens models; pinhole is: {_ADVICE}")
-    lens = values.text("distortion_model") or "none"
-    if lens not in _LENSES:
-        raise values.wrong("distortion_model", f"{lens!r} is not one of {', '.join(MODELS.values())}: {_ADVICE}")
-    model = _LENSES[lens]
-    fx, fy, cx, cy = values.numbers("intrinsics", 4).tolist()
-    values.require_focal("intrinsics", fx, fy)
-    count = _COUNTS[model]
-    coefficients = values.numbers("distortion_coeffs", count) if count else np.zeros(0)
+    told = values.text("distortion_model")
+    word = f"{values.text('camera_model')}-{_OTHER_WORDS.get(told, told)}"
+    rows = LENSES.of(values, "camera_model", word)
+    coefficients = values.numbers("distortion_coeffs") if values.data.get("distortion_coeffs") else np.zeros(0)
     size = given.size(values.sides("resolution") if "resolution" in values else None, values.document.where)
+    numbers = np.concatenate([values.numbers("intrinsics"), coefficients])
+    camera = LENSES.listed(values, "intrinsics", rows, size, numbers)
     kept = {key: values.data[key] for key in _KEPT if key in values}
-    return CameraEntry(camera_of(model, size, (fx, fy, cx, cy), coefficients), extra={VENDOR_KEY: kept} if kept else {})
+    return CameraEntry(camera, extra={VENDOR_KEY: kept} if kept else {})
 
 
 def write(path: Path, file: CameraFile) -> None:
@@ -117,6 +119,11 @@ def write(path: Path, file: CameraFile) -> None:
 
     Raises InvalidInput if a camera's place beside the one before is not known, FileError.
     """
+    files.write_text(path, emit.document(chain_of(path, file), number=emit.exact_text))
+
+
+def chain_of(path: Path, file: CameraFile) -> dict[str, Any]:
+    """Return the data of a camchain; raises as `write` does."""
     data: dict[str, Any] = {}
     names = list(file.cameras)
     for index, (name, entry) in enumerate(file.cameras.items()):
@@ -131,27 +138,30 @@ def write(path: Path, file: CameraFile) -> None:
             block["T_cn_cnm1"] = pose.matrix().tolist()
         if (of_imu := pose_between(file, name, IMU)) is not None:
             block["T_cam_imu"] = of_imu.matrix().tolist()
-        camera = entry.camera
+        lens, numbers = LENSES.written(entry.camera)
+        camera_model, distortion_model = lens.word.split("-")
         block |= {
             "cam_overlaps": own.get("cam_overlaps", [other for other in range(len(names)) if other != index]),
-            "camera_model": "pinhole",
-            "distortion_coeffs": camera.parameters[4:].tolist(),
-            "distortion_model": MODELS[camera.model.name],
-            "intrinsics": camera.parameters[:4].tolist(),
-            "resolution": list(camera.image_size),
+            "camera_model": camera_model,
+            "distortion_coeffs": [value for key, value in numbers.items() if _DISTORTION.match(key)],
+            "distortion_model": distortion_model,
+            "intrinsics": [value for key, value in numbers.items() if not _DISTORTION.match(key)],
+            "resolution": list(entry.camera.image_size),
             "rostopic": own.get("rostopic", f"/cam{index}/image_raw"),
             **{key: own[key] for key in ("timeshift_cam_imu", "line_delay") if key in own},
         }
         data[f"cam{index}"] = block
-    files.write_text(path, emit.document(data, number=emit.exact_text))
+    return data
 
 
 FORMAT = CameraFormat(
     name="kalibr",
     title="Kalibr camchain",
     suffixes=(".yaml", ".yml"),
-    models=tuple(MODELS),
+    models=LENSES.models,
     read=read,
     write=write,
+    lenses=LENSES,
     frames=frozenset({IMU}),
+    poses="T_cn_cnm1: camera_T_camera before; T_cam_imu: camera_T_imu",
 )

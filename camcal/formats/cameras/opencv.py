@@ -20,17 +20,8 @@ from camcal.cameras.model import Camera
 from camcal.errors import InvalidInput
 from camcal.formats.camera_file import CameraEntry, CameraFile, Transform, pose_between
 from camcal.formats.cameras import file_storage
-from camcal.formats.cameras.record import (
-    CAMERA,
-    LEFT,
-    RIGHT,
-    CameraFormat,
-    Given,
-    Source,
-    Values,
-    camera_of,
-    opencv_usage,
-)
+from camcal.formats.cameras.record import CAMERA, LEFT, RIGHT, CameraFormat, Given, Source, camera_of, opencv_usage
+from camcal.formats.cameras.values import Values
 from camcal.formats.documents import Document
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import JOINT

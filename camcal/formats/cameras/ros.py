@@ -8,7 +8,6 @@ R and P of a file that is read are kept (x_ros) and written again. What is writt
 Source: image_common/camera_calibration_parsers/src/parse_yml.cpp; sensor_msgs/CameraInfo.
 """
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,19 +21,9 @@ from camcal.cameras.model import Camera
 from camcal.errors import InvalidInput
 from camcal.formats import emit
 from camcal.formats.camera_file import CameraEntry, CameraFile, Transform, pose_between
-from camcal.formats.cameras.record import (
-    CAMERA,
-    LEFT,
-    RIGHT,
-    CameraFormat,
-    Given,
-    Source,
-    Values,
-    camera_of,
-    opencv_usage,
-)
+from camcal.formats.cameras.record import LEFT, RIGHT, CameraFormat, Given, Source, camera_of, name_of, opencv_usage
+from camcal.formats.cameras.values import Values
 from camcal.formats.documents import parse_foreign
-from camcal.formats.native import NAME
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import JOINT, Pose
 from camcal.messages import Message
@@ -89,7 +78,7 @@ def read(sources: Sequence[Source], given: Given) -> CameraFile:
     entries = [_entry(each, given) for each in values]
     warnings = tuple(warning for each in values for warning in each.warnings)
     if len(entries) == 1:
-        return CameraFile({_name(values[0]): entries[0]}, warnings=warnings)
+        return CameraFile({name_of(values[0].text("camera_name")): entries[0]}, warnings=warnings)
     places = [_rectified(each) for each in values]
     if None in places:
         raise InvalidInput(
@@ -161,11 +150,6 @@ def _doubts(right: Values, of_left: Rectified, of_right: Rectified) -> list[Mess
         text = "differs from that of the left file in more than the baseline: check that both are of one pair"
         doubts.warn("inconsistent_projections", "projection_matrix", text)
     return doubts.warnings
-
-
-def _name(values: Values) -> str:
-    name = re.sub(r"[^A-Za-z0-9]+", "_", values.text("camera_name")).strip("_")
-    return name if NAME.match(name) and JOINT not in name else CAMERA
 
 
 def outputs(path: Path, file: CameraFile) -> tuple[Path, ...]:
