@@ -117,6 +117,9 @@ CODES: Mapping[str, Mapping[str, str]] = {
         "camera_difference": "the projections of two cameras differ by more than --max",
         "camera_difference_sigmas": "the difference of two cameras is more standard deviations than --max-sigma",
         "unknown_difference_std": "the standard deviation of the difference of two cameras is not known",
+        "drifted": "new images show that a camera is no longer as calibrated, or stands otherwise",
+        "not_shown": "new images would not have shown a drift above the limit",
+        "check_image": "the images of a check are noisy, moved, of other sizes, or of a board that has changed",
         "replaced_view": "the camera file of an undistorted view was replaced by that of another one",
     },
     "Poses": {

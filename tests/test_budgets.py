@@ -17,36 +17,36 @@ LINES = {
     "__init__": 37,
     "__main__": 6,
     "arrays": 42,
-    "calibrate": 7426,
+    "calibrate": 7703,
     "cameras": 2189,
-    "cli": 3539,
+    "cli": 3576,
     "errors": 137,
     "estimate": 8677,
     "files": 398,
     "formats": 10801,
     "geometry": 963,
     "images": 1879,
-    "messages": 222,
+    "messages": 225,
     "opencv": 150,
     "optics": 311,
     "options": 400,
     "parsing": 67,
     "progress": 149,
-    "quality": 1751,
+    "quality": 2476,
     "raw": 5019,
     "records": 155,
-    "report": 6666,
+    "report": 6705,
     "run": 3677,
     "simulate": 1720,
     "solve": 1707,
     "stereo": 5101,
     "system": 281,
     "targets": 7063,
-    "tasks": 22534,
+    "tasks": 22991,
     "urls": 99,
 }
-PARTS = {"modules": 421, "records": 653, "records named in one module": 197, "short functions with one reference": 494}
-PASSED = {"modules": 145, "functions": 1108, "records": 126}  # from a table of detections to a camera file
+PARTS = {"modules": 427, "records": 666, "records named in one module": 197, "short functions with one reference": 494}
+PASSED = {"modules": 146, "functions": 1111, "records": 126}  # from a table of detections to a camera file
 SHORT = 5  # lines of a function's body, which could as well stand where it is called
 
 

@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import inf
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ from camcal.calibrate.known_cameras import KnownBoard
 from camcal.errors import GateFailed, InsufficientData, InvalidInput
 from camcal.formats import cameras
 from camcal.formats.boards import short_form
-from camcal.formats.camera_file import CameraEntry, CameraFile, pair_covariance, pose_between
+from camcal.formats.camera_file import CameraEntry, CameraFile, pair_covariance, parameters_covariance, pose_between
 from camcal.formats.poses.record import Poses
 from camcal.formats.provenance import image_counts
 from camcal.geometry.pose import JOINT, Pose
@@ -70,15 +70,15 @@ class CheckReport:
 
     def require_valid(self) -> None:
         """Raise GateFailed where something has drifted, InsufficientData where the images could not show it."""
-        for verdict, error in ((DRIFTED, GateFailed), (NOT_SHOWN, InsufficientData)):
-            names = [name for name, each in self.found.items() if each.verdict == verdict]
-            if names:
-                failures = [
-                    Message(f"check_{verdict}", each.words, _figures(each), name)
-                    for name, each in self.found.items()
-                    if name in names
-                ]
-                raise error(f"{WORDS[verdict]}: {', '.join(names)}", failures=failures)
+        found = {
+            verdict: {name: each for name, each in self.found.items() if each.verdict == verdict} for verdict in WORDS
+        }
+        drifted = [Message("drifted", each.words, _figures(each), name) for name, each in found[DRIFTED].items()]
+        if drifted:
+            raise GateFailed(f"{WORDS[DRIFTED]}: {', '.join(found[DRIFTED])}", failures=drifted)
+        hidden = [Message("not_shown", each.words, _figures(each), name) for name, each in found[NOT_SHOWN].items()]
+        if hidden:
+            raise InsufficientData(f"{WORDS[NOT_SHOWN]}: {', '.join(found[NOT_SHOWN])}", failures=hidden)
 
 
 @writes
@@ -92,8 +92,7 @@ def check(options: CheckOptions, progress: Progress = SILENT) -> CheckReport:
     require_no_image(path)
     file = cameras.read(path, progress)
     entries = dict(file.cameras) if name is None else {name: cameras.select(file, name, str(path))}
-    for each, entry in entries.items():
-        _require_covariance(entry, str(path) if len(entries) == 1 else f"{path}#{each}")
+    known = {each: _checked(each, entry, file, str(path)) for each, entry in entries.items()}
     board = options.board
     if board is None and file.board_shape is not None:
         board = file.board_shape.board
@@ -107,7 +106,6 @@ def check(options: CheckOptions, progress: Progress = SILENT) -> CheckReport:
         raise InvalidInput("--tags goes with --reference: a lens is checked by a board")
     seen = _look(options, board, tuple(entries), progress)
     surface = file.board_shape if file.board_shape is not None and file.board_shape.board == seen.board else None
-    known = {name: _checked(entry, file) for name, entry in entries.items()}
     views = min(known[name].views for name in seen.views)
     shape = KnownBoard(Surface.flat(seen.board)) if surface is None else KnownBoard(surface, views)
     found: dict[str, Checked] = {}
@@ -122,7 +120,7 @@ def check(options: CheckOptions, progress: Progress = SILENT) -> CheckReport:
 
 
 @dataclass(frozen=True, eq=False)
-class _Seen:
+class CheckViews:
     """The views of every camera that is checked, by its name; of several the usable ones of every capture as well."""
 
     board: Board
@@ -131,7 +129,7 @@ class _Seen:
     warnings: tuple[Message, ...] = ()
 
 
-def _look(options: CheckOptions, board: Board | str | None, names: tuple[str, ...], progress: Progress) -> _Seen:
+def _look(options: CheckOptions, board: Board | str | None, names: tuple[str, ...], progress: Progress) -> CheckViews:
     """Return what the inputs show of the board."""
     if len(names) == 1:
         one = board_views(
@@ -144,7 +142,7 @@ def _look(options: CheckOptions, board: Board | str | None, names: tuple[str, ..
             reading=options.reading,
             frames=options.frames,
         )
-        return _Seen(one.board, {names[0]: one.detections.views}, warnings=one.warnings)
+        return CheckViews(one.board, {names[0]: one.detections.views}, warnings=one.warnings)
     settings = RigSettings(
         board=board,
         match=options.match,
@@ -163,7 +161,7 @@ def _look(options: CheckOptions, board: Board | str | None, names: tuple[str, ..
         {name: view for name, view in zip(cameras, row, strict=True) if view is not None and usable([view])}
         for row in rig.captures.views
     ]
-    return _Seen(rig.board, {name: rig.of(name) for name in cameras}, rows, rig.warnings)
+    return CheckViews(rig.board, {name: rig.of(name) for name in cameras}, rows, rig.warnings)
 
 
 def check_camera(
@@ -178,20 +176,20 @@ def check_camera(
     return check(CheckOptions(str(camera), tuple(map(str, images)), board, max_drift))
 
 
-def _require_covariance(entry: CameraEntry, where: str) -> None:
-    if entry.camera.covariance is None or not entry.camera.covariance.any():
+def _checked(name: str, entry: CameraEntry, file: CameraFile, where: str) -> CheckedCamera:
+    """Return what a file says of one of its cameras; its covariance may be a part of that of the rig."""
+    known = parameters_covariance(file)
+    rows = [known.names.index(f"{name}.{each}") for each in entry.camera.model.parameter_names]
+    covariance = known.matrix[np.ix_(rows, rows)]
+    if not covariance.any():
         raise InvalidInput(
             "states no covariance, so that nothing tells what a drift is: calibrate with camcal, or compare a new "
             "calibration with this one, see 'camcal diff'",
-            where=where,
+            where=where if len(file.cameras) == 1 else f"{where}#{name}",
         )
-
-
-def _checked(entry: CameraEntry, file: CameraFile) -> CheckedCamera:
-    """Return what a file says of one of its cameras."""
     region = entry.verdict.region if entry.verdict is not None else None
     return CheckedCamera(
-        entry.camera,
+        replace(entry.camera, covariance=covariance),
         0.0 if entry.noise is None else entry.noise.sigma_px,
         np.zeros((0, 2)) if region is None else region.polygon,
         float(entry.quality.get("images_used") or image_counts(file.provenance)[0] or inf),

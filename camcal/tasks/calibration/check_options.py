@@ -4,7 +4,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from camcal.options import BOARD, CHECKS, DEGREES, INPUT, MILLIMETRES, OUTPUT, Argument, Option, OptionsRecord, Written
+from camcal.options import (
+    BOARD,
+    CHECKS,
+    DEGREES,
+    INPUT,
+    MILLIMETRES,
+    OUTPUT,
+    Argument,
+    Option,
+    OptionsRecord,
+    Without,
+    Written,
+)
 from camcal.raw.options import AS_IMAGES, ImageReadOptions
 from camcal.tasks.calibration.options import BEST_FRAMES, FrameOptions, ImageSize
 from camcal.tasks.options import BOARD_OPTION, FIGURES, Jobs, Overwrite, Recursive
@@ -91,7 +103,7 @@ class CheckOptions(OptionsRecord):
     image_size: ImageSize = None
     recursive: Recursive = False
     jobs: Jobs = None
-    reading: ImageReadOptions = AS_IMAGES
+    reading: Annotated[ImageReadOptions, Without(("colours",))] = AS_IMAGES
     frames: FrameOptions = BEST_FRAMES
     junit: Annotated[
         Path | None,
