@@ -93,6 +93,8 @@ from camcal.targets.markers import detect_markers as detect_markers
 from camcal.tasks.calibration.camera_result import CalibrateReport as CalibrateReport
 from camcal.tasks.calibration.check import check_camera as check_camera
 from camcal.tasks.calibration.diff import compare_cameras as compare_cameras
+from camcal.tasks.calibration.errors_at_range import RangeErrors as RangeErrors
+from camcal.tasks.calibration.errors_at_range import errors_at_range as errors_at_range
 from camcal.tasks.calibration.options import CalibrateOptions as CalibrateOptions
 from camcal.tasks.calibration.options import DetectOptions as DetectOptions
 from camcal.tasks.library import PointCloud as PointCloud
@@ -149,6 +151,7 @@ __all__ = [
     "PosePrior",
     "PosesOptions",
     "Projection",
+    "RangeErrors",
     "Rays",
     "Rectification",
     "RectifiedImages",
@@ -173,6 +176,7 @@ __all__ = [
     "detect_board",
     "detect_markers",
     "develop",
+    "errors_at_range",
     "estimate_pose",
     "estimate_poses",
     "estimate_rig_poses",

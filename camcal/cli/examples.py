@@ -107,6 +107,8 @@ _CALLS = {  # a comment with the purpose above each call, as in a shell
         inspect camera.yaml
         # One value of it, for a script
         inspect camera.yaml --get cameras.camera.quality.rms_px
+        # How well it measures at 0.8 m: points, and an object of 100 mm
+        inspect camera.yaml --at 0.8m --length 100mm
         # Size, pattern and exposure of a raw frame
         inspect IMG_0001.DNG
     """,

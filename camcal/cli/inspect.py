@@ -65,6 +65,8 @@ def _inspect_raw(options: InspectOptions, call: ImageCall) -> None:
 
     if options.output is not None:
         raise InvalidInput("-o draws a rig; this is a raw frame", where=options.file)
+    if options.measured.distances:
+        raise InvalidInput("--at is for camera files; this is a raw frame", where=options.file)
     if options.gates.given:
         raise InvalidInput("--require, --max-uncertainty and --min-coverage are for camera files", where=options.file)
     if options.get is not None or options.address[1] is not None:
@@ -127,6 +129,15 @@ def _show(inspection: "Inspection", options: InspectOptions, verbose: bool) -> N
         _show_rig(inspection.rig)
     for line in file_lines(inspection.file, verbose=verbose):
         show.text(line)
+    if inspection.errors:
+        from camcal.tasks.calibration import errors_at_range as task
+
+        table = [row for each in inspection.errors for row in task.rows(each)]
+        columns = task.COLUMNS if any(each.pairs for each in inspection.errors) else task.COLUMNS[:-1]
+        table = [row[: len(columns)] for row in table]
+        show.table("errors that the calibration leaves (1 sigma)", columns, table, verbose=verbose)
+        for line in (line for each in inspection.errors for line in task.lines(each)):
+            show.text(line)
     if verbose and (images := image_rows(inspection.file)):
         show.table("images", IMAGE_COLUMNS, images, verbose=True)
     if inspection.rig is not None and options.output is not None:

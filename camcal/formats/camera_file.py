@@ -14,6 +14,7 @@ from camcal.geometry.frame_graph import FrameGraph
 from camcal.geometry.pose import JOINT, Derived, NamedTransform, Pose, frames_of
 from camcal.messages import Message
 from camcal.quality.projection_uncertainty import KnownRegion, ProjectionUncertainty
+from camcal.quality.range_uncertainty import CalibrationBoards
 from camcal.records import Brief
 from camcal.targets.board import Surface
 
@@ -94,7 +95,7 @@ class CameraEntry(Brief):
 
     quality: figures such as rms_px, images_used. sensor: pixel_pitch_um, gain_e_per_dn, read_noise_e, full_well_e.
     channels: a lens of its own for some colours. held_by_prior: coefficients that the data of the calibration hardly
-    determined: their prior did. extra: the x_ keys of other programs, kept as they are.
+    determined: their prior did. boards: of the calibration. extra: the x_ keys of other programs, kept as they are.
     """
 
     camera: Camera
@@ -106,6 +107,7 @@ class CameraEntry(Brief):
     sensor: Mapping[str, float] = field(default_factory=dict)
     channels: Mapping[str, Camera] = field(default_factory=dict)
     held_by_prior: tuple[str, ...] = ()
+    boards: CalibrationBoards | None = None
     extra: Mapping[str, object] = field(default_factory=dict)
 
     @property

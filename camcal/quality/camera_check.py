@@ -106,10 +106,7 @@ def _check_lens(
     drift, sigma = lens_drift(known, found, _inside(own), own.views), found.sigma_px[0]
     result = Checked(DRIFTED, "", drift=drift, limit_px=drift.limit(most_px), notes=tuple(_notes(own, found, board)))
     if sigma > max(_FOREIGN * own.sigma_px, _FOREIGN_PX):
-        reason = (
-            f"corners are {sigma:.2g} px from where this camera images the board, {sigma / own.sigma_px:.0f} times the "
-            "noise of its calibration"
-        )
+        reason = f"corners are {sigma:.2g} px from where this camera images the board: noise {own.sigma_px:.2g} px then"
         return replace(result, reason=reason, cause=OTHER)
     if not drift.beyond(most_px):
         return _unmoved(result, drift)
@@ -195,7 +192,7 @@ def _inside(own: CheckedCamera) -> Array | None:
 def _notes(own: CheckedCamera, found: NewViews, board: KnownBoard) -> list[str]:
     """Return what is to be known of the images of one camera."""
     notes, sigma = [], found.sigma_px[0]
-    if sigma > _NOISY * own.sigma_px:
+    if sigma > _NOISY * own.sigma_px > 0:
         notes.append(
             f"corners are {sigma / own.sigma_px:.1f} times as noisy as those of the calibration ({sigma:.2g} px): "
             "blur, motion, or another board"

@@ -51,6 +51,12 @@ class Calibrated:
     views: float = inf
     images: frozenset[str] = field(default_factory=frozenset)
 
+    def knows(self, pixels: Array) -> BoolArray:
+        """Return which pixels (N, 2) the calibration is known for."""
+        lit = np.ones(len(pixels), bool) if self.circle is None else self.circle.contains(pixels)
+        region = self.region
+        return lit if region is None or len(region) < 3 else np.asarray(lit & in_polygon(pixels, region))
+
 
 @dataclass(frozen=True)
 class Excess:
@@ -160,7 +166,7 @@ def compare(
     valid = np.asarray(np.isfinite(found).all(axis=1).reshape(shape).all(axis=0))
     scale = np.array(one.image_size) / second.camera.image_size
     moved = np.nan_to_num((pixels + found + 0.5) / scale - 0.5)
-    known = np.asarray(valid & (_known(first, pixels) & _known(second, moved)).reshape(shape).all(axis=0))
+    known = np.asarray(valid & (first.knows(pixels) & second.knows(moved)).reshape(shape).all(axis=0))
     if not valid.any():
         raise InvalidInput(f"{both}, because the two lenses are valid nowhere in the image together")
     compared = known if known.any() else valid
@@ -200,12 +206,6 @@ def compare(
     rest = _excess([each - basis @ (basis.T @ each) for each in flat], views)
     verdict, reason = _judge(total, rest, result)
     return replace(result, total=total, distortion=rest, verdict=verdict, reason=reason)
-
-
-def _known(own: Calibrated, pixels: Array) -> BoolArray:
-    """Return which pixels (N, 2) of a camera its calibration is known for."""
-    lit = np.ones(len(pixels), bool) if own.circle is None else own.circle.contains(pixels)
-    return lit if own.region is None or len(own.region) < 3 else lit & in_polygon(pixels, own.region)
 
 
 def _obstacle(first: Calibrated, second: Calibrated, found: CameraComparison, known: BoolArray) -> str:

@@ -23,7 +23,6 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from contextlib import contextmanager, suppress
 from functools import cache
-from importlib import metadata
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple, Union, get_args, get_origin, get_type_hints
 
@@ -149,6 +148,8 @@ def of_settings(options: Any, without: Collection[str] = ()) -> str:
 
 def versions() -> dict[str, str]:
     """Return the versions of camcal and of the libraries that results depend on, and the date that files are given."""
+    from importlib import metadata  # imports the e-mail package: who writes nothing does not wait for it
+
     found = {"camcal": camcal.__version__, **provenance.libraries()}
     for distribution in _ALSO:
         try:

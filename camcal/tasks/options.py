@@ -28,6 +28,7 @@ from camcal.options import (
 from camcal.raw.names import MONO, PATTERNS
 from camcal.raw.options import NO_LAYOUT, GivenLayout
 from camcal.tasks.gates import NO_GATES, CameraGates
+from camcal.tasks.measured_at import NOWHERE, MeasuredAt
 from camcal.tasks.suggestions import board_kinds, camera_formats, format_names
 
 CAMERA_SUFFIXES = (".yaml", ".yml", ".xml", ".json", ".toml", ".cameramodel", ".txt", ".bin", ".ini", ".mat", ".m")
@@ -251,7 +252,7 @@ class InspectOptions(OptionsRecord):
     """A camera file, or FILE#NAME for one of its cameras; or a raw frame, its pattern and layout as far as needed.
 
     get: the path of one value in a camera file. output: a picture of the rig, or a page that shows it. gates: what the
-    cameras of the file must be.
+    cameras of the file must be. measured: where the errors of measurements are asked for.
     """
 
     file: Annotated[
@@ -280,6 +281,7 @@ class InspectOptions(OptionsRecord):
     pattern: Pattern = None
     layout: GivenLayout = NO_LAYOUT
     gates: CameraGates = NO_GATES
+    measured: MeasuredAt = NOWHERE
     overwrite: Overwrite = False
 
     @property

@@ -51,6 +51,7 @@ RUNS = {
     "undistort": "undistort pair.yaml#left tags/a -o straight --mask -j 1",
     "undistort --points": "undistort pair.yaml#left --points points.csv -o straight.csv",
     "inspect": "inspect rig.yaml",
+    "inspect --at": "inspect rig.yaml --at 0.8m,12m --length 100mm",
     "run": "run pipeline.yaml -j 1",
     "run --dry-run": "run pipeline.yaml -j 1 --dry-run",
     "inspect a raw frame": "inspect mosaic.png --pattern RGGB",

@@ -223,6 +223,13 @@ def test_poses_that_are_smoothed_already_are_said_and_not_judged(run, turning, t
     assert out.startswith("Covariances not judged")
 
 
+def test_smoothed_poses_of_a_file_without_velocities_are_told_by_having_no_noise(run, turning, tmp_path):
+    assert run("smooth", turning / "measured.tum", "-o", tmp_path / "once.tum")[2] == ""
+    document = json.loads(run("smooth", tmp_path / "once.tum", "--json")[1])
+    assert [warning["code"] for warning in document["warnings"]] == ["smoothed_already"]
+    assert document["consistency"]["verdict"] == "not judged"
+
+
 def test_poses_are_said_with_their_units_and_resampled(run, turning, tmp_path):
     code, out, _ = run(
         "smooth",

@@ -279,7 +279,7 @@ def test_corners_far_from_where_a_camera_images_the_board_are_of_another_one(kno
     ]
     found = check_lens(own, scattered, board)
     assert (found.verdict, found.cause) == (DRIFTED, OTHER)
-    assert "times the noise of its calibration" in found.reason
+    assert "px from where this camera images the board" in found.reason
 
 
 OLD, STILL = (

@@ -1,8 +1,9 @@
 """Poses from random triplets of points, for views in which many points are wrong.
 
-Triplets are drawn until, with the confidence asked for, one had no outlier; the best poses are settled with their
-inliers as soon as they are found. Sources: Torr & Zisserman, MLESAC, 2000 (the truncated error as score, here of pixels
-linear in the pose); Chum, Matas & Kittler, Locally Optimized RANSAC, DAGM 2003.
+Triplets are drawn until, with the confidence asked for, one of any pose with more inliers would have had no outlier;
+the best poses are settled with their inliers as soon as they are found.
+Sources: Torr & Zisserman, MLESAC, 2000 (the truncated error as score, here of pixels linear in the pose); Chum, Matas &
+Kittler, Locally Optimized RANSAC, DAGM 2003.
 """
 
 from dataclasses import dataclass
@@ -99,8 +100,8 @@ class _Search:
 
 
 def _needed(inliers: int, count: int, confidence: float) -> float:
-    """Return how many triplets of `count` points to draw so that one had no outlier."""
-    clean = min(float(np.prod([(inliers - k) / (count - k) for k in range(_CORNERS)])), 1 - 1e-12)
+    """Return how many triplets of `count` points to draw so that of a pose with more inliers, one had no outlier."""
+    clean = min(float(np.prod([(inliers + 1 - k) / (count - k) for k in range(_CORNERS)])), 1 - 1e-12)
     return min(float(np.log1p(-confidence) / np.log1p(-clean)), MOST) if clean > 0 else MOST
 
 
@@ -113,6 +114,8 @@ def _drawn(problems: PoseProblems, which: list[int], triplets: list[list[Array]]
         rays, points = (each[:, view, corners].transpose(2, 1, 0) for each in (packed.rays, packed.points))
         states, triplet = poses_of_triplets(rays, points)
         parts.append((packed.in_frame(states), of[triplet]))
+    if len(parts) == len(which) == 1:
+        return parts[0]
     states, of = (np.concatenate(each) for each in zip(*parts, strict=True))
     order = np.argsort(of, kind="stable")
     return states[order], of[order]
@@ -167,7 +170,7 @@ class _Scorer:
     def scores(self, states: Array) -> Array:
         """Return the scores (S,) of states (S, 3, 4), the lowest best."""
         rows = np.ones((13, len(states)), np.float32)
-        rows[:12] = states.reshape(-1, 12).T
+        rows[:12] = states.transpose(1, 2, 0).reshape(12, -1)
         with np.errstate(all="ignore"):
             seen = (self.factors @ rows).reshape(3, len(self.factors) // 3, len(states))
             squared, v, depth = seen

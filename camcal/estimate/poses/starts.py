@@ -12,6 +12,7 @@ Source: Persson & Nordberg, Lambda Twist: An Accurate Fast Robust Perspective Th
 here with a homogeneous cubic, so that no member of the pencil is at infinity.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -37,8 +38,11 @@ FEW = 5  # points for which every choice of three gives starts: noise may have t
 _LEAST = 4  # points below which only triplets give starts
 
 # poses that meet three points
+Form = tuple[Array, ...]  # the components of vectors, or of symmetric matrices: xx xy xz yy yz zz
+Rows = Array | Sequence[Array]
 _POLISH = 2  # Newton steps on the distances
 _FIRST, _SECOND = [0, 0, 1], [1, 2, 2]  # the corners that each edge joins
+_FULL = np.array([[0, 3, 4], [3, 1, 5], [4, 5, 2]])  # where the components of a diagonal and of what is beside it stand
 _FITS = 1e-8  # of the longest edge squared
 _DOUBLE = 1e-9  # a discriminant this little below zero is a double root's rounding
 
@@ -160,46 +164,62 @@ def poses_of_triplets(rays: Array, points: Array) -> tuple[Array, Array]:
 
     rays: (T, 3, 3) unit, one a row. points: (T, 3, 3). Triplets in a line, or that no pose meets, have none.
     """
-    # the axis of the triplets comes last throughout: what is done to thousands of small matrices is done to few rows
+    # the axis of the triplets comes last throughout, and small matrices are taken apart: rows stay in the cache
     rays, points = (np.ascontiguousarray(each.transpose(1, 2, 0)) for each in (rays, points))
     with np.errstate(all="ignore"):
         edges = points[_FIRST] - points[_SECOND]
-        lengths = np.sum(edges * edges, axis=1)
-        cosines = np.sum(rays[_FIRST] * rays[_SECOND], axis=1)
+        lengths = np.stack([_dot(edge, edge) for edge in edges])
+        cosines = np.stack([_dot(rays[one], rays[other]) for one, other in zip(_FIRST, _SECOND, strict=True)])
         # without a scale, nothing is too small or too large
         unit = lengths.max(axis=0)
         lengths /= unit
         distances, triplet = _distances(lengths, cosines)
         distances = _polished(distances, lengths[:, triplet], cosines[:, triplet]) * np.sqrt(unit[triplet])
-        positive = np.flatnonzero((distances > 0).all(axis=0))
+        positive = np.flatnonzero(distances.min(axis=0) > 0)
         distances, triplet = distances[:, positive], triplet[positive]
-        states = _aligned(distances[:, None] * rays[:, :, triplet], points[:, :, triplet])
-        sound = np.isfinite(states).all(axis=(0, 1))
-    return np.ascontiguousarray(states.transpose(2, 0, 1)[sound]), triplet[sound]
+        seen = [distance * ray[:, triplet] for distance, ray in zip(distances, rays, strict=True)]
+        normal = _cross(edges[0], edges[1])
+        dual = np.stack([*_cross(normal, edges[1]), *_cross(edges[0], normal), *normal]) / _dot(normal, normal)
+        states = _aligned(seen, dual[:, triplet], points[0][:, triplet])
+        sound = np.isfinite(states.sum(axis=(0, 1)))
+    states = states.transpose(2, 0, 1)
+    return (states, triplet) if sound.all() else (states[sound], triplet[sound])
 
 
 def _distances(lengths: Array, cosines: Array) -> tuple[Array, Array]:
-    """Return distances (3, S) along the rays and their triplets (S,), from squared lengths (3, T) of the edges."""
-    forms = np.zeros((3, 3, 3, lengths.shape[1]))
-    for edge, (i, j) in enumerate(zip(_FIRST, _SECOND, strict=True)):
-        forms[edge, i, i] = forms[edge, j, j] = 1.0
-        forms[edge, i, j] = forms[edge, j, i] = -cosines[edge]
-    first, second = (lengths[2] * forms[edge] - lengths[edge] * forms[2] for edge in (0, 1))
-    x, y = _singular_member(first, second)
-    directions = _lines(_planes(x * first + y * second), x * second - y * first)
+    """Return distances (3, S) along the rays and their triplets (S,), from squared lengths (3, T) of the edges.
+
+    Mₑ is the form of edge e, λi² + λj² - 2 λi λj cos. Members of the pencil are x (c M₀ - a M₂) + y (c M₁ - b M₂),
+    where the edges have the lengths a, b, c.
+    """
+    (a, b, c), (p, q, r) = lengths, cosines
+    x, y = _singular_member(lengths, cosines)
+    singular = c * (x + y), -c * p * x, -c * q * y, (c - a) * x - b * y, r * (a * x + b * y), (c - b) * y - a * x
+    other = c * (x - y), c * p * y, -c * q * x, (a - c) * y - b * x, r * (b * x - a * y), (c - b) * x + a * y
+    directions = _lines(_planes(singular), tuple(np.concatenate([each, each]) for each in other))
     directions *= np.sign(directions.sum(axis=0))
-    found = np.flatnonzero((directions > 0).all(axis=0))
-    directions, triplet = directions[:, found], found % lengths.shape[1]
-    square = _excess(directions, np.zeros((3, 1)), cosines[:, triplet]).sum(axis=0)
+    found = np.flatnonzero(directions.min(axis=0) > 0)
+    directions, triplet = directions[:, found], found % len(a)
+    square = sum(_excess(directions, np.zeros((3, 1)), cosines[:, triplet]))
     return directions * np.sqrt(lengths.sum(axis=0)[triplet] / square), triplet
 
 
-def _singular_member(first: Array, second: Array) -> tuple[Array, Array]:
-    """Return x, y (T,), x² + y² = 1, for which x · first + y · second (3, 3, T) has no inverse."""
-    of_first, of_second = _adjugate(first), _adjugate(second)
-    # the forms and so their adjugates are symmetric
-    pairs = (of_first, first, 3), (of_first, second, 1), (of_second, first, 1), (of_second, second, 3)
-    coefficients = np.stack([np.sum(one * other, axis=(0, 1)) / of for one, other, of in pairs])
+def _singular_member(lengths: Array, cosines: Array) -> tuple[Array, Array]:
+    """Return x, y (T,), x² + y² = 1, for which the member of the pencil has no inverse: its determinant over c² is a
+    cubic.
+    """
+    (a, b, c), (p, q, r) = lengths, cosines
+    sine, along, across, mixed = 1 - r * r, c * p * p, c * q * q, 2 * c * p * q * r
+    first, last = a * (a * sine - c), b * (b * sine - c)
+    middle = c * (c - a - b) + 2 * a * b * sine
+    coefficients = np.stack(
+        [
+            first + along * a,
+            first + middle - along * (c - b) + mixed * a,
+            last + middle - across * (c - a) + mixed * b,
+            last + across * b,
+        ]
+    )
     turned = np.abs(coefficients[0]) < np.abs(coefficients[3])
     root = _isolated_root(np.where(turned, coefficients[::-1], coefficients))
     length = np.sqrt(1 + root * root)
@@ -223,47 +243,53 @@ def _isolated_root(coefficients: Array) -> Array:
     return np.asarray(root)
 
 
-def _planes(singular: Array) -> tuple[Array, Array]:
-    """Return the normals (3, T) of the two planes through the origin on which singular forms (3, 3, T) vanish, NaN
+def _planes(singular: Form) -> Array:
+    """Return the normals (3, 2 T) of the two planes through the origin on which singular forms (T,) vanish, NaN
     without any.
 
     The adjugate of l mᵀ + m lᵀ is -p pᵀ with p = l × m, and adding [p]× leaves 2 m lᵀ or 2 l mᵀ alone.
     Source: Ding, Yang, Larsson, Olsson & Åström, Revisiting the P3P Problem, CVPR 2023.
     """
-    adjugate, triplet = _adjugate(singular), np.arange(singular.shape[2])
-    largest = np.abs(np.einsum("iit->it", adjugate)).argmax(axis=0)
-    x, y, z = adjugate[:, largest, triplet] / np.sqrt(-adjugate[largest, largest, triplet])
-    of_rank_one = singular.copy()
-    for (row, column), value in zip(((1, 0), (0, 2), (2, 1)), (z, y, x), strict=True):
-        of_rank_one[row, column] += value
-        of_rank_one[column, row] -= value
-    row, column = np.divmod(np.abs(of_rank_one).reshape(9, -1).argmax(axis=0), 3)
-    return of_rank_one[:, column, triplet], of_rank_one[row, :, triplet].T
+    xx, xy, xz, yy, yz, zz = singular
+    diagonal = np.stack([yy * zz - yz * yz, xx * zz - xz * xz, xx * yy - xy * xy])
+    cross = np.stack([xz * yz - xy * zz, xy * yz - xz * yy, xy * xz - xx * yz])
+    largest, triplet = np.abs(diagonal).argmax(axis=0), np.arange(len(xx))
+    column = np.concatenate([diagonal, cross])[_FULL[:, largest], triplet]
+    x, y, z = column / np.sqrt(-diagonal[largest, triplet])
+    of_rank_one = np.stack([xx, xy - z, xz + y, xy + z, yy, yz - x, xz - y, yz + x, zz])
+    row, column = np.divmod(np.abs(of_rank_one).argmax(axis=0), 3)
+    of_rank_one = of_rank_one.reshape(3, 3, -1)
+    return np.concatenate([of_rank_one[:, column, triplet], of_rank_one[row, :, triplet].T], axis=1)
 
 
-def _lines(planes: tuple[Array, Array], forms: Array) -> Array:
-    """Return the directions (3, 4 T) in both planes of normals (3, T) on which forms (3, 3, T) vanish, NaN without
-    any.
-    """
-    normals, forms = np.concatenate(planes, axis=1), np.concatenate([forms, forms], axis=2)
-    along = _cross(normals, normals[[2, 0, 1]] * [[1.0], [-1.0], [1.0]])
-    along /= np.sqrt(np.sum(along * along, axis=0))
-    across = _cross(normals, along) / np.sqrt(np.sum(normals * normals, axis=0))
-    of_along, of_across = (np.sum(forms * axis, axis=1) for axis in (along, across))
-    pairs = (along, of_along), (along, of_across), (across, of_across)
-    first, mixed, last = (np.sum(one * other, axis=0) for one, other in pairs)
+def _lines(normals: Array, forms: Form) -> Array:
+    """Return the directions (3, 2 T) in planes of normals (3, T) on which forms (T,) vanish, NaN without any."""
+    x, y, z = normals
+    along = _cross(normals, (z, -x, y))
+    across = _cross(normals, along)
+    of_along = _applied(forms, along)
+    first, mixed, last = _dot(along, of_along), _dot(across, of_along), _dot(across, _applied(forms, across))
     square = mixed * mixed - first * last
     size = mixed * mixed + np.abs(first * last)
     square = np.where((square < 0) & (square > -_DOUBLE * size), 0.0, square)
     root = -(mixed + np.copysign(np.sqrt(square), mixed))
-    return np.concatenate([root * along + first * across, last * along + root * across], axis=1)
+    pairs = list(zip(along, across, strict=True))
+    ends = [root * one + first * other for one, other in pairs], [last * one + root * other for one, other in pairs]
+    return np.concatenate([np.stack(end) for end in ends], axis=1)
+
+
+def _applied(form: Form, vector: Rows) -> Form:
+    """Return the products of symmetric matrices and vectors, component by component."""
+    xx, xy, xz, yy, yz, zz = form
+    x, y, z = vector
+    return xx * x + xy * y + xz * z, xy * x + yy * y + yz * z, xz * x + yz * y + zz * z
 
 
 def _polished(distances: Array, lengths: Array, cosines: Array) -> Array:
     """Return distances (3, S) after Newton steps on the squared lengths (3, S) of edges, NaN where they do not fit."""
     for _ in range(_POLISH):
-        one, two = distances[_FIRST], distances[_SECOND]
-        a, b = one - cosines * two, two - cosines * one  # half the derivatives of an edge by its distances
+        (x, y, z), (p, q, r) = distances, cosines
+        a, b = (x - p * y, x - q * z, y - r * z), (y - p * x, z - q * x, z - r * y)  # half an edge's derivatives
         e = _excess(distances, lengths, cosines)
         minor, of_last = e[1] * b[2] - b[1] * e[2], a[1] * b[2]
         step = np.stack(
@@ -274,39 +300,37 @@ def _polished(distances: Array, lengths: Array, cosines: Array) -> Array:
             ]
         ) / (-2 * (a[0] * b[1] * a[2] + b[0] * of_last))
         distances = distances - np.where(np.isfinite(step), step, 0.0)
-    fits = np.abs(_excess(distances, lengths, cosines)).max(axis=0) < _FITS
+    one, two, three = _excess(distances, lengths, cosines)
+    fits = np.maximum(np.maximum(np.abs(one), np.abs(two)), np.abs(three)) < _FITS
     return np.where(fits, distances, np.nan)
 
 
-def _excess(distances: Array, lengths: Array, cosines: Array) -> Array:
+def _excess(distances: Array, lengths: Array, cosines: Array) -> Form:
     """Return by how much the squared lengths of the edges (3, S) are too large."""
-    one, two = distances[_FIRST], distances[_SECOND]
-    return np.asarray(one * one + two * two - 2 * cosines * one * two - lengths)
+    pairs = zip(distances[_FIRST], distances[_SECOND], lengths, cosines, strict=True)
+    return tuple(one * one + two * two - 2 * cosine * one * two - length for one, two, length, cosine in pairs)
 
 
-def _aligned(seen: Array, points: Array) -> Array:
-    """Return the states (3, 4, S) that take points (3, 3, S), one a row, to congruent ones."""
-    axes = []
-    for corners in (seen, points):
-        first, second = corners[1] - corners[0], corners[2] - corners[0]
-        normal = _cross(first, second)
-        first /= np.sqrt(np.sum(first * first, axis=0))
-        normal /= np.sqrt(np.sum(normal * normal, axis=0))
-        axes.append((first, normal, _cross(first, normal)))
-    states = np.empty((3, 4, seen.shape[2]))
-    states[:, :3] = sum(one[:, None] * other[None] for one, other in zip(*axes, strict=True))
-    states[:, 3] = seen.mean(axis=0) - np.sum(states[:, :3] * points.mean(axis=0), axis=1)
+def _aligned(seen: Rows, dual: Array, corner: Array) -> Array:
+    """Return the states (3, 4, S) that take triangles to congruent ones, of corners seen, three of (3, S).
+
+    dual: (9, S) three vectors g with gᵢ · fⱼ = δᵢⱼ, f the edges from a triangle's first corner (3, S) and their cross
+    product.
+    """
+    first, second = seen[1] - seen[0], seen[2] - seen[0]
+    states = np.empty((3, 4, corner.shape[1]))
+    for row, one, two, three, place in zip(states, first, second, _cross(first, second), seen[0], strict=True):
+        for column in range(3):
+            row[column] = one * dual[column] + two * dual[3 + column] + three * dual[6 + column]
+        row[3] = place - _dot(row, corner)
     return states
 
 
-def _adjugate(matrices: Array) -> Array:
-    """Return the matrices (3, 3, T) that give the determinant times the identity with `matrices`."""
-    first, second, third = matrices
-    return np.stack([_cross(second, third), _cross(third, first), _cross(first, second)], axis=1)
+def _dot(first: Rows, second: Rows) -> Array:
+    return np.asarray(first[0] * second[0] + first[1] * second[1] + first[2] * second[2])
 
 
-def _cross(first: Array, second: Array) -> Array:
-    """Return first × second (3, S): what numpy's own takes several times as long for."""
-    a, b, c = first
-    x, y, z = second
-    return np.stack([b * z - c * y, c * x - a * z, a * y - b * x])
+def _cross(first: Rows, second: Rows) -> Form:
+    """Return first × second, component by component."""
+    (a, b, c), (x, y, z) = first, second
+    return b * z - c * y, c * x - a * z, a * y - b * x

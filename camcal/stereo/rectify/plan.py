@@ -2,11 +2,12 @@
 
 With it the maps of the pair, which are made once, for any number of pairs of images.
 
-The x axis of the pair (y, where one camera is above the other) is the baseline, in the direction that keeps images
-upright as those of the first camera; z is the mean optical axis across it, or the middle of the common field.
+The x or y axis of the pair is the baseline, in the direction that turns the images least, those of the first camera
+before all; z is the mean optical axis across it, or the middle of the common field.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -100,7 +101,14 @@ def plan_rectification(
     """
     if len(cameras) != 2:
         raise InvalidInput(f"a pair is two cameras, found {len(cameras)}")
-    frame = _frame(cameras, right_T_left, circles or {})
+    best, own = _quarters(cameras, right_T_left)
+    if best != own:
+        with suppress(InsufficientData):  # parts of the first camera's images may be turned too far
+            return _planned(_frame(cameras, right_T_left, circles or {}, best), options)
+    return _planned(_frame(cameras, right_T_left, circles or {}, own), options)
+
+
+def _planned(frame: _Frame, options: RectifiedViewOptions) -> Rectification:
     field = common_field(frame.left, frame.right)
     _require_common(field, frame)
     rows = _rows(field, frame)
@@ -184,17 +192,14 @@ def _unusual(frame: _Frame, field: CommonField, turns: Sequence[Array]) -> Itera
         yield Message("converging_cameras", text, {"baselines": meeting})
 
 
-def _frame(cameras: Mapping[str, Camera], right_T_left: Pose, circles: Mapping[str, ImageCircle | None]) -> _Frame:
-    """Return the axes of the pair; z is the mean optical axis, across the baseline."""
+def _frame(
+    cameras: Mapping[str, Camera], right_T_left: Pose, circles: Mapping[str, ImageCircle | None], quarters: int
+) -> _Frame:
+    """Return the axes of the pair; z is the mean optical axis, across the baseline. quarters: as `_quarters`."""
     first, second = cameras
-    centre = right_T_left.inverse().translation  # of the second camera, in the axes of the first
-    baseline = float(np.linalg.norm(centre))
-    if not baseline > 0:
-        raise InsufficientData(f"{first} and {second} are at one place: without a baseline there is no depth")
-    direction = centre / baseline
-    along = int(abs(direction[1]) > abs(direction[0]))
-    swapped = bool(direction[along] < 0)
-    axis = -direction if swapped else direction
+    centre, baseline = _baseline(cameras, right_T_left)
+    along, swapped = quarters % 2, quarters >= 2
+    axis = (-centre if swapped else centre) / baseline
     rotations = {first: np.eye(3), second: right_T_left.rotation.T}  # first_R_camera
     forward = rotations[first][:, 2] + rotations[second][:, 2]
     across = forward - (forward @ axis) * axis
@@ -208,6 +213,27 @@ def _frame(cameras: Mapping[str, Camera], right_T_left: Pose, circles: Mapping[s
     if length < np.sin(_AXIAL) * np.linalg.norm(forward):
         raise frame.axial()
     return frame
+
+
+def _baseline(cameras: Mapping[str, Camera], right_T_left: Pose) -> tuple[Array, float]:
+    """Return the centre (3,) of the second camera in the axes of the first, and the baseline, m."""
+    centre = right_T_left.inverse().translation
+    baseline = float(np.linalg.norm(centre))
+    if not baseline > 0:
+        first, second = cameras
+        raise InsufficientData(f"{first} and {second} are at one place: without a baseline there is no depth")
+    return centre, baseline
+
+
+def _quarters(cameras: Mapping[str, Camera], right_T_left: Pose) -> tuple[int, int]:
+    """Return by how many quarter turns the x axis is to be turned to the baseline's direction: what turns the images
+    of both cameras least, the first one's before all, and what turns the first one's least.
+    """
+    centre, _ = _baseline(cameras, right_T_left)
+    seen = centre, right_T_left.rotation @ centre
+    left = np.array([np.arctan2(each[1], each[0]) - np.arange(4) * np.pi / 2 for each in seen])
+    own, other = np.abs(np.arctan2(np.sin(left), np.cos(left)))
+    return int(np.argmin(np.round(own + other / 2, 9))), int(np.argmin(np.round(own, 9)))
 
 
 def _perpendicular(axis: Array, along: int) -> Array:

@@ -149,10 +149,8 @@ def _noise(values: dict[str, float], found: Smoothing, squared: bool = False) ->
 
 
 _PARTS = ("translation", "rotation")
-_SMOOTHED_ALREADY = Message(
-    "smoothed_already",
-    "poses are smoothed already (they have velocities), their errors are correlated: smooth the measured poses instead",
-)
+_SMOOTHED_ALREADY = "poses are smoothed already ({}), their errors are correlated: smooth the measured poses instead"
+_NOISELESS = 1e-6  # residual over the path's length
 _AXES = ("tx, m", "ty, m", "tz, m", "rx, rad", "ry, rad", "rz, rad")
 
 
@@ -317,9 +315,12 @@ def smooth_trajectory(options: SmoothOptions, progress: Progress) -> Smoothing:
             options.plot, encoded(over_time(_pose_panels(measured, smoothed, shown)), options.plot.suffix)
         )
     found = _of_poses(options, measured, smoothed, shown, (errors[0], errors[1]))
-    if measured.velocities is not None:  # which only a filter knows
-        judged = replace(found.consistency, verdict=NOT_JUDGED, warning=_SMOOTHED_ALREADY)
-        found = replace(found, consistency=judged)
+    path = np.linalg.norm(np.diff(measured.translations, axis=0))
+    noiseless = found.residual["translation"] < _NOISELESS * path and found.consistency.warning is not None
+    if measured.velocities is not None or noiseless:  # which only a filter knows, or leaves
+        said = "no noise, but correlated innovations" if measured.velocities is None else "they have velocities"
+        warning = Message("smoothed_already", _SMOOTHED_ALREADY.format(said))
+        found = replace(found, consistency=replace(found.consistency, verdict=NOT_JUDGED, warning=warning))
     if options.figures.folder is None:
         return found
     drawn = trajectory_plots(path_of(shown, reference, options.comparison))

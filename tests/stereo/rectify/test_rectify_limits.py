@@ -63,6 +63,15 @@ def test_images_rotated_by_more_than_50_degrees_are_said(roll_deg, said):
     assert codes(planned(NARROW, NARROW, placed((0.2, 0, 0), (0, 0, roll_deg)))) == said
 
 
+@pytest.mark.parametrize(("axis_deg", "roll_deg"), [(40, 40), (40, -40), (-40, 40), (130, 40)])
+def test_the_axis_of_the_pair_turns_neither_of_two_images_by_more_than_60_degrees(axis_deg, roll_deg):
+    """Seen by the first camera alone, the other axis may be nearer: the second one's images would turn by 80°."""
+    direction = np.radians(axis_deg)
+    plan = planned(NARROW, NARROW, placed((0.2 * np.cos(direction), 0.2 * np.sin(direction), 0), (0, 0, roll_deg)))
+    for rotation in (plan.rect_R_left, plan.rect_R_right):
+        assert np.degrees(np.linalg.norm(so3.log(rotation))) < 60
+
+
 @pytest.mark.parametrize(("turn_deg", "said"), [(-45, []), (-65, ["converging_cameras"])])
 def test_axes_that_meet_nearer_than_3_quarters_of_the_baseline_are_said(turn_deg, said):
     assert codes(planned(WIDE, WIDE, placed((0.2, 0, 0), (0, turn_deg, 0)))) == said
