@@ -109,6 +109,8 @@ CODES: Mapping[str, Mapping[str, str]] = {
         "swapped_cameras": "left and right camera files may be swapped",
         "inconsistent_projections": "the projection matrices of a pair do not match",
         "unplaced_camera": "a camera without transform to the others",
+        "initial_calibration": "a camera of another program has its initial values, which are not adjusted yet",
+        "stretched_images": "the lens of a file is that of stretched images",
         "inconsistent_chain": "transforms of a file contradict each other",
         "outside_region": "a view or points lie in parts of the image in which the camera is not known well enough",
         "reduced_scale": "an undistorted image is much smaller at its centre than the source",

@@ -103,9 +103,7 @@ _CALLS = {  # a comment with the purpose above each call, as in a shell
         convert camchain.yaml rig.yaml
     """,
     "inspect": """
-        # What a camera file holds, with its verdict
-        inspect camera.yaml
-        # One value of it, for a script
+        # One value of a camera file, for a script
         inspect camera.yaml --get cameras.camera.quality.rms_px
         # How well it measures at 0.8 m: points, and an object of 100 mm
         inspect camera.yaml --at 0.8m --length 100mm
