@@ -12,7 +12,8 @@ from camcal.files import STANDARD
 from camcal.report.table import Column
 from camcal.tasks.calibration.check_options import CheckOptions
 from camcal.tasks.calibration.options import DiffOptions
-from camcal.tasks.options import CAMERA_SUFFIXES, ConvertFileOptions, InspectOptions, PlotOptions
+from camcal.tasks.convert_options import ConvertFileOptions
+from camcal.tasks.options import CAMERA_SUFFIXES, InspectOptions, PlotOptions
 from camcal.tasks.reports.options import ReportOptions, RerunOptions
 
 if TYPE_CHECKING:
