@@ -37,8 +37,8 @@ ORIGINS = {0.0: "0", 0.5: "½", 1.0: "1"}
 
 def format_row(form: CameraFormat) -> str:
     """Return a camera format's row of the table."""
-    suffixes = " ".join(f"`{suffix}`" for suffix in form.suffixes)
-    lenses = "all" if set(form.models) == set(MODELS) else " ".join(f"`{name}`" for name in form.models)
+    suffixes = " ".join(f"`{suffix}`" for suffix in form.suffixes) or "not written"
+    lenses = "all" if set(form.models) == set(MODELS) else "exact: " + " ".join(f"`{name}`" for name in form.models)
     cameras = "any number" if form.most_cameras is None else f"up to {form.most_cameras}"
     lens = form.lenses
     counted = "0" if lens is None else "from the middle" if lens.centred else ORIGINS[lens.origin]
@@ -55,7 +55,7 @@ def order_row(form: CameraFormat) -> str:
 def with_formats(page: str, forms: Iterable[CameraFormat]) -> str:
     """Return the page with a row for every camera format."""
     forms = list(forms)
-    titles = ("format", "`--to`", "written as", "cameras", "pixel (0, 0)", "transforms", "lens models written", "use")
+    titles = ("format", "`--to`", "written as", "cameras", "pixel (0, 0)", "transforms", "lens models", "use")
     lines = [f"| {' | '.join(titles)} |", "|---" * len(titles) + "|", *map(format_row, forms), ""]
     lines += ["| `--to` | parameters of its lenses, in its order |", "|---|---|"]
     lines += [order_row(form) for form in forms if form.lenses is not None]

@@ -29,6 +29,7 @@ from camcal.solve.dense import minimise_nonnegative
 _FINEST = 1e-9  # of the spread's trace: that weights are determined
 _ALIKE = 10.0  # views that count for estimates of equal scatter
 _FEW = 7.0  # views that hardly show what errors they share
+_ROUNDING = 1e-12  # of the variances that are claimed
 
 _DOF = 4.0  # of the Student distribution
 _OUTLIERS, _REACH = 0.01, 20.0  # the share of corners that may be anywhere within so many pixels
@@ -104,10 +105,15 @@ def covariance_of(
     others = _weights_of_others(left_out, metric, evidence, products)
     scatter = _scatter(estimates, left_out, weights, others)
     lens, views, size = len(metric), len(left_out[0]), len(claimed)
+    # Scales of single blocks are of what a block has besides the blocks before it. Were they of blocks themselves,
+    # errors that cancel between blocks no longer would, and a depth, which they leave alone, would be uncertain.
+    root = np.linalg.cholesky(claimed + _ROUNDING * np.diag(np.diag(claimed))) if blocks else np.eye(size)
+    scatter, claims = (np.linalg.solve(root, np.linalg.solve(root, own).T) for own in (scatter, claimed))
+    metric = root[:lens].T @ metric @ root[:lens]
 
     def ratio(chosen: slice) -> float:
         scatter_px, claimed_px = (
-            float(np.sum(own[:lens, :lens][chosen, chosen] * metric[chosen, chosen])) for own in (scatter, claimed)
+            float(np.sum(own[chosen, chosen] * metric[chosen, chosen])) for own in (scatter, claims)
         )
         # of corners without noise both may be rounding, of either sign
         return scatter_px / claimed_px if min(scatter_px, claimed_px) > 0 else 1.0
@@ -117,9 +123,9 @@ def covariance_of(
         ratios[chosen], further[chosen] = ratio(chosen), chosen.stop - chosen.start
     scale = np.sqrt(ratios)
     of_scatter, of_claimed = np.sqrt(views / (views + further)), scale * np.sqrt(further / (views + further))
-    mixed = np.outer(of_scatter, of_scatter) * scatter + np.outer(of_claimed, of_claimed) * claimed
+    mixed = np.outer(of_scatter, of_scatter) * scatter + np.outer(of_claimed, of_claimed) * claims
     least = np.maximum(1 / scale, 1.0)
-    mixed *= np.outer(least, least)
+    mixed = root @ (np.outer(least, least) * mixed) @ root.T
     doubted = evidence + (1 - evidence) * min((_FEW / views) ** 2, 1.0)
     result = doubted * mixed + (1 - doubted) * claimed
     return np.asarray((result + result.T) / 2)  # sums of strongly correlated parameters are symmetric to rounding only

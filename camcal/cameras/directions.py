@@ -41,6 +41,19 @@ def point_displacements(camera: Camera, pixels: Array, distance: float, fitted: 
     return _without_motion(np.concatenate([by_lens, by_point / distance], axis=2), by_rotation, fitted)
 
 
+def ray_displacements(camera: Camera, points: Array) -> Array:
+    """Return the derivatives (N, 3, K) of the rays of fixed pixels by the lens parameters, for points (N, 3) there.
+
+    They are at right angles to the ray, for a ray as long as that of the point. NaN where the camera does not see it.
+    """
+    jacobians = camera.model.project_with_jacobians(camera.parameters, points)
+    count = len(camera.parameters)
+    result = np.full((len(points), 3, count), np.nan)
+    valid = jacobians.valid
+    result[valid] = -np.linalg.pinv(jacobians.d_point[valid]) @ jacobians.by_parameters(count)[valid]
+    return result
+
+
 def lens_difference(
     camera: Camera, other: Camera, pixels: Array, fitted: Array | None = None, distances: Array | None = None
 ) -> Array:

@@ -7,7 +7,12 @@
       - [0.1602, 0.16]
 
 A matrix of more than 100 names stands in an .npz beside the file instead, under covariance_file, whose name carries
-the hash of the numbers. How the numbers of a pose and of its covariance are called and ordered in files is here too.
+the hash of the numbers. With that of a camera stands where the boards of its calibration were, and three rows: the
+covariance of their mean shift x, y, z with the parameters in their order, and with x, y, z.
+
+    boards: {nearest_m: 0.4, farthest_m: 1.1, noise_share: 0.6, shift: [[...], [...], [...]]}
+
+How the numbers of a pose and of its covariance are called and ordered in files is here too.
 """
 
 import hashlib
@@ -21,11 +26,13 @@ import numpy as np
 
 from camcal import files
 from camcal.arrays import Array
+from camcal.cameras.model import Camera
 from camcal.errors import FileError, InvalidInput
 from camcal.formats.documents import Check, Fault, child
-from camcal.formats.schema import LARGEST_VARIANCE, STD, VARIANCE, items, mapping, matrix, text
+from camcal.formats.schema import LARGEST_VARIANCE, STD, VARIANCE, items, mapping, matrix, number, text
 from camcal.images.image import arrays_of
 from camcal.parsing import did_you_mean
+from camcal.quality.range_uncertainty import CalibrationBoards
 
 MAX_INLINE = 100
 STD_AGREEMENT = 0.01  # std and the matrix are two views of one number; a hand-edited one shows
@@ -42,6 +49,10 @@ KEYS: Mapping[str, Check] = {
     "covariance": items(items(VARIANCE)),
     "covariance_file": text,
 }
+BOARDS = mapping(
+    {"nearest_m": number(positive=True), "farthest_m": number(positive=True)},
+    {"noise_share": number(0, 1), "shift": items(items(VARIANCE), 3)},
+)
 
 
 def check(block: Mapping[str, Any], path: str, names: Sequence[str], fixed: Sequence[str] = ()) -> Iterator[Fault]:
@@ -152,6 +163,40 @@ def block(names: Sequence[str], covariance: Array, beside: Path, fixed: Sequence
     else:
         data["covariance_file"] = _write_beside(beside, found)
     return data
+
+
+def check_boards(block: Mapping[str, Any], path: str) -> Iterator[Fault]:
+    """Check that the shift of boards has the numbers that go with the order of an uncertainty block."""
+    shift = block.get("boards", {}).get("shift", [])
+    count = len(block.get("covariance_order", [])) + len(POSITION)
+    for index, row in enumerate(shift):
+        if len(row) != count:
+            place = child(child(child(path, "boards"), "shift"), index)
+            yield Fault(place, f"{len(row)} numbers; one for each of covariance_order and x, y, z are {count}")
+
+
+def read_boards(block: Mapping[str, Any], camera: Camera) -> CalibrationBoards | None:
+    """Return what the uncertainty block of a camera says of the boards of its calibration."""
+    if "boards" not in block:
+        return None
+    own, shift = block["boards"], None
+    if "shift" in own and camera.covariance is not None:
+        shift = np.zeros((3, len(camera.parameters) + 3))
+        shift[:, _columns_of_shift(block.get("covariance_order", ()), camera)] = own["shift"]
+    return CalibrationBoards(own["nearest_m"], own["farthest_m"], own.get("noise_share", 1.0), shift)
+
+
+def boards_block(boards: CalibrationBoards, order: Sequence[str], camera: Camera) -> dict[str, Any]:
+    """Return what is said of the boards of a camera's calibration; order: of its covariance."""
+    data = {"nearest_m": boards.nearest, "farthest_m": boards.farthest, "noise_share": boards.noise_share}
+    shift = None if boards.shift is None else boards.shift[:, _columns_of_shift(order, camera)].tolist()
+    return data | ({} if shift is None else {"shift": shift})
+
+
+def _columns_of_shift(order: Sequence[str], camera: Camera) -> list[int]:
+    """Return where the columns of a shift stand among all parameters of a camera."""
+    names = camera.model.parameter_names
+    return [*map(names.index, order), *range(len(names), len(names) + 3)]
 
 
 def _write_beside(beside: Path, covariance: Array) -> str:

@@ -83,6 +83,7 @@ _UNCERTAINTY = mapping(
         "projection": items(
             mapping({}, {"range_m": number(positive=True), **dict.fromkeys(PROJECTION_FIGURES, number(0))})
         ),
+        "boards": covariance.BOARDS,
     },
 )
 
@@ -164,6 +165,7 @@ def read(data: Mapping[str, Any], folder: Path) -> tuple[CameraEntry, tuple[str,
         sensor=data.get("sensor", {}),
         channels=channels,
         held_by_prior=tuple(data.get("held_by_prior", ())),
+        boards=covariance.read_boards(data.get("uncertainty", {}), camera),
         extra={key: value for key, value in data.items() if key.startswith(VENDOR)},
     ), unknown
 
@@ -201,6 +203,9 @@ def block(entry: CameraEntry, beside: Path) -> dict[str, Any]:
         data.setdefault("uncertainty", {})["projection"] = [
             {"range_m": item.range_m, **item.figures} for item in entry.projection
         ]
+    if entry.boards is not None and "covariance_order" in data.get("uncertainty", {}):
+        uncertainty = data["uncertainty"]
+        uncertainty["boards"] = covariance.boards_block(entry.boards, uncertainty["covariance_order"], camera)
     data["valid"] = _valid_block(entry.valid) if entry.valid else None
     data["quality"] = entry.quality or None
     data["noise"] = vars(entry.noise) if entry.noise else None
@@ -239,6 +244,7 @@ def _check_lens(block: Mapping[str, Any], path: str, model: CameraModel) -> Iter
     uncertainty, where = block.get("uncertainty", {}), child(path, "uncertainty")
     faults = list(_UNCERTAINTY(uncertainty, where))
     yield from faults or covariance.check(uncertainty, where, names, fixed if isinstance(fixed, list) else ())
+    yield from [] if faults else covariance.check_boards(uncertainty, where)
 
 
 def _check_held_by_prior(block: Mapping[str, Any], path: str, model: CameraModel) -> Iterator[Fault]:

@@ -33,7 +33,7 @@ _LEAST = 1e-6  # of the mean variance over the image, of a pixel that hardly mov
 _RANK = 1e-6  # of changes of a camera's axes: less is a rotation
 _EQUAL_PX = 1e-3  # RMS: the same lens, written in another way
 _ROUNDING_PX = 1e-9  # what two projections of one ray differ by
-_ZOOM, _SHIFT = 0.03, 0.03  # of the focal length, of the image's diagonal: more is no lens that moved
+MOST_ZOOM, MOST_SHIFT = 0.03, 0.03  # of the focal length, of the image's diagonal: more is no lens that moved
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,6 +50,12 @@ class Calibrated:
     circle: ImageCircle | None = None
     views: float = inf
     images: frozenset[str] = field(default_factory=frozenset)
+
+    def knows(self, pixels: Array) -> BoolArray:
+        """Return which pixels (N, 2) the calibration is known for."""
+        lit = np.ones(len(pixels), bool) if self.circle is None else self.circle.contains(pixels)
+        region = self.region
+        return lit if region is None or len(region) < 3 else np.asarray(lit & in_polygon(pixels, region))
 
 
 @dataclass(frozen=True)
@@ -160,7 +166,7 @@ def compare(
     valid = np.asarray(np.isfinite(found).all(axis=1).reshape(shape).all(axis=0))
     scale = np.array(one.image_size) / second.camera.image_size
     moved = np.nan_to_num((pixels + found + 0.5) / scale - 0.5)
-    known = np.asarray(valid & (_known(first, pixels) & _known(second, moved)).reshape(shape).all(axis=0))
+    known = np.asarray(valid & (first.knows(pixels) & second.knows(moved)).reshape(shape).all(axis=0))
     if not valid.any():
         raise InvalidInput(f"{both}, because the two lenses are valid nowhere in the image together")
     compared = known if known.any() else valid
@@ -200,12 +206,6 @@ def compare(
     rest = _excess([each - basis @ (basis.T @ each) for each in flat], views)
     verdict, reason = _judge(total, rest, result)
     return replace(result, total=total, distortion=rest, verdict=verdict, reason=reason)
-
-
-def _known(own: Calibrated, pixels: Array) -> BoolArray:
-    """Return which pixels (N, 2) of a camera its calibration is known for."""
-    lit = np.ones(len(pixels), bool) if own.circle is None else own.circle.contains(pixels)
-    return lit if own.region is None or len(own.region) < 3 else lit & in_polygon(pixels, own.region)
 
 
 def _obstacle(first: Calibrated, second: Calibrated, found: CameraComparison, known: BoolArray) -> str:
@@ -250,5 +250,5 @@ def _judge(total: Excess, rest: Excess, found: CameraComparison) -> tuple[str, s
     reason += f"; focal length {100 * found.focal:+.2f} %, principal point by ({shift[0]:+.1f}, {shift[1]:+.1f}) px"
     if rest.chance < CHANCE:
         return OTHER, f"{reason}, and distortion differs by {rest.sigmas:.1f} times its standard deviation"
-    moved = abs(found.focal) <= _ZOOM and np.hypot(*shift) <= _SHIFT * diagonal
+    moved = abs(found.focal) <= MOST_ZOOM and np.hypot(*shift) <= MOST_SHIFT * diagonal
     return MOVED if moved else OTHER, reason

@@ -8,15 +8,18 @@ Source: Hartley and Zisserman, Multiple View Geometry, 2nd edition, sections 5.2
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from math import inf
 from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
 
-from camcal.arrays import Array, FloatArray
+from camcal.arrays import Array, BoolArray, FloatArray
 from camcal.cameras.model import Camera, Rig
 from camcal.cameras.validity import ImageCircle
+from camcal.errors import InvalidInput
 from camcal.geometry.pose import Derived, Pose, point_jacobian
+from camcal.quality.range_uncertainty import ErrorSize, objects
 
 DISPARITY_PX = 0.25  # standard deviation of the disparity of a usual match
 BASELINES = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)  # distances of a table, times the baseline
@@ -172,16 +175,20 @@ def _common(pair: _Pair, distance: float) -> tuple[Array, float]:
     width, height = pair.cameras[0].image_size
     u, v = np.meshgrid(*(np.linspace(0, side - 1, count) for side, count in zip((width, height), _GRID, strict=True)))
     pixels = np.column_stack([u.ravel(), v.ravel()])
-    own, other = pair.circles
+    own = pair.circles[0]
     rays = pair.cameras[0].unproject(pixels if own is None else pixels[own.contains(pixels)])
     points = distance * rays.directions[rays.valid]
-    seen = pair.cameras[1].project(pair.pose.apply(points))
-    limit = np.array(pair.cameras[1].image_size) - 0.5
-    with np.errstate(invalid="ignore"):
-        inside = seen.valid & ((seen.pixels > -0.5) & (seen.pixels < limit)).all(axis=1)
-    if other is not None:
-        inside = inside & other.contains(seen.pixels)
+    inside = _seen(pair, 1, pair.pose.apply(points))
     return points[inside], float(inside.sum() / max(len(points), 1))
+
+
+def _seen(pair: _Pair, index: int, points: Array) -> BoolArray:
+    """Return which points (N, 3) in the frame of one of the cameras are in its image."""
+    camera, circle = pair.cameras[index], pair.circles[index]
+    seen = camera.project(points)
+    with np.errstate(invalid="ignore"):
+        inside = seen.valid & ((seen.pixels > -0.5) & (seen.pixels < np.array(camera.image_size) - 0.5)).all(axis=1)
+    return inside if circle is None else np.asarray(inside & circle.contains(seen.pixels))
 
 
 def _errors(pair: _Pair, distance: float, disparity_px: float) -> _Errors:
@@ -190,14 +197,12 @@ def _errors(pair: _Pair, distance: float, disparity_px: float) -> _Errors:
     none = _Errors(DepthError(distance, None, None, common), None)
     if not len(points):
         return none
-    by_point, by_calibration = _derivatives(pair, points)
-    normal = by_point.transpose(0, 2, 1) @ by_point
-    sound = np.isfinite(by_calibration).all(axis=(1, 2)) & (np.linalg.cond(normal) < _SINGULAR)
+    by_point, by_calibration, gain = _triangulated(pair, points)
+    sound = np.isfinite(gain).all(axis=(1, 2))
     if not sound.any():
         return none
-    points, by_point, by_calibration = points[sound], by_point[sound], by_calibration[sound]
+    points, by_point, by_calibration, gain = points[sound], by_point[sound], by_calibration[sound], gain[sound]
     along = points / np.linalg.norm(points, axis=1, keepdims=True)
-    gain = np.linalg.solve(normal[sound], by_point.transpose(0, 2, 1))
     by_pixels = np.einsum("ni,nij->nj", along, gain)  # of the distance, by the four pixel coordinates
     # a disparity is the difference of two coordinates with equal errors
     matching = np.linalg.norm(by_pixels, axis=1) * disparity_px / np.sqrt(2)
@@ -212,6 +217,73 @@ def _errors(pair: _Pair, distance: float, disparity_px: float) -> _Errors:
     shares = np.linalg.norm(across[:, 2:], axis=1)
     depth = DepthError(distance, depth.matching, float(np.median(calibration)), common)
     return _Errors(depth, float(np.median(np.sqrt(missed) / np.maximum(shares, 1e-9))))
+
+
+def _triangulated(pair: _Pair, points: Array) -> tuple[Array, Array, Array]:
+    """Return the two results of `_derivatives` for points, and the derivatives (N, 3, 4) of triangulated points by
+    their pixels, NaN where these determine none.
+    """
+    by_point, by_calibration = _derivatives(pair, points)
+    normal = by_point.transpose(0, 2, 1) @ by_point
+    sound = np.isfinite(by_calibration).all(axis=(1, 2)) & np.isfinite(normal).all(axis=(1, 2))
+    sound[sound] = np.linalg.cond(normal[sound]) < _SINGULAR
+    gain = np.full((len(points), 3, 4), np.nan)
+    gain[sound] = np.linalg.solve(normal[sound], by_point[sound].transpose(0, 2, 1))
+    return by_point, by_calibration, gain
+
+
+@dataclass(frozen=True)
+class PairErrors:
+    """What is uncertain of what two cameras measure at a distance from the first: of the distance of points (depth) and
+    of the length of an object, m; None where nothing is in both images, or no length was asked for.
+    """
+
+    first: str
+    second: str
+    depth: ErrorSize | None
+    length: ErrorSize | None
+
+
+def pair_errors(
+    rig: Rig,
+    first: str,
+    second: str,
+    distance: float,
+    length: float | None = None,
+    views: float = inf,
+    circles: Mapping[str, ImageCircle] = MappingProxyType({}),
+) -> PairErrors:
+    """Return what the covariance of a rig leaves uncertain at a distance (m), and what the noise of disparities does.
+
+    views: of the calibration; the others as of `pair_geometry`. Raises InvalidInput where the covariance is not known,
+    and for an object of more than twice the distance.
+    """
+    pair = _Pair.of(rig, first, second, circles)
+    if pair.covariance is None:
+        raise InvalidInput(f"{first} and {second}: no covariance of where they stand, so that no errors follow")
+    points = _common(pair, distance)[0]
+    rays = points / distance
+    depth = _stds(pair, ((points, rays),))
+    if length is None:
+        return PairErrors(first, second, ErrorSize.of(depth[0], views, depth[1]), None)
+    along, *ends = objects(rays, distance, length)
+    seen = np.logical_and.reduce([_seen(pair, 0, each) & _seen(pair, 1, pair.pose.apply(each)) for each in ends])
+    parts = [(each[seen], sign * along[seen]) for each, sign in zip(ends, (-1.0, 1.0), strict=True)]
+    sizes = [ErrorSize.of(stds, views, noise) for stds, noise in (depth, _stds(pair, parts))]
+    return PairErrors(first, second, *sizes)
+
+
+def _stds(pair: _Pair, parts: Sequence[tuple[Array, Array]]) -> tuple[Array, Array]:
+    """Return the standard deviations (N,) of Σ a · p over parts, of triangulated points p (N, 3) along directions a
+    (N, 3): by the calibration, which they share, and by the noise of disparities, which they do not.
+    """
+    by_parameters, squares = np.zeros((1, 1)), np.zeros(1)
+    for points, along in parts:
+        _, by_calibration, gain = _triangulated(pair, points)
+        by_pixels = np.einsum("ni,nij->nj", along, gain)
+        by_parameters = by_parameters + np.einsum("nj,njk->nk", by_pixels, by_calibration)
+        squares = squares + np.sum(by_pixels**2, axis=1) * DISPARITY_PX**2 / 2
+    return np.sqrt(_variances(by_parameters, np.asarray(pair.covariance))), np.sqrt(squares)
 
 
 def _variances(jacobian: Array, covariance: Array) -> Array:

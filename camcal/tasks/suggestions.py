@@ -12,8 +12,8 @@ def camera_formats() -> str:
     """Return the help of --to, which names the camera formats."""
     from camcal.formats.cameras import FORMATS
 
-    named = ", ".join(f"{form.name} ({form.title})" for form in FORMATS.values())
-    return f"Format of OUT where its suffix is that of several: {named}."
+    names = ", ".join(form.name for form in FORMATS.values() if form.suffixes)
+    return f"Format of OUT where its name does not say it: {names}."
 
 
 def format_names() -> list[str]:

@@ -159,7 +159,7 @@ def test_an_unknown_key_names_the_nearest(camcal, rig, key, words):
 
 def test_json_holds_the_file_and_what_follows_from_it(camcal, rig):
     payload = json.loads(camcal(rig, "--json").out)
-    assert list(payload) == ["schema", "file", "content", "stated", "field_of_view_deg", "rig", "warnings"]
+    assert list(payload) == ["schema", "file", "content", "stated", "field_of_view_deg", "rig", "errors", "warnings"]
     assert payload["schema"] == "camcal/inspect/1"
     assert payload["content"]["cameras"]["left"]["intrinsics"]["fx"] == 512.0625
     assert [len(angles) for angles in payload["field_of_view_deg"].values()] == [3, 3]
@@ -278,3 +278,37 @@ cameras:
     assert "field of view horizontal 176.2°" in result.out  # 2 · 1.538 rad: θ - 0.01 θ³ = 300.25 / 200
     assert "nan" not in without.out + without.err + result.out + result.err
     assert camcal(str(tmp_path / "fish.yaml"), "--get", "cameras.fish.valid.image_circle.radius_px").out == "300.25\n"
+
+
+KNOWN = CAMERA.replace("fixed: [p2]", "fixed: [p2, p1]").replace(", p1: 4.1e-05}", "}").partition("  right:\n")[0]
+
+
+def test_errors_at_a_distance_are_shown_and_in_json(camcal, tmp_path):
+    (tmp_path / "left.yaml").write_text(KNOWN)
+    result = camcal(str(tmp_path / "left.yaml"), "--at", "0.8m,2m", "--length", "100mm")
+    assert result.code == 0
+    assert "one pixel spans 1.56 mm at 0.8 m in the middle of the image" in result.out
+    assert "left are placed from the camera itself: the file does not say how well the boards" in result.out
+    found = json.loads(camcal(str(tmp_path / "left.yaml"), "--at", "0.8m,2m", "--length", "100mm", "--json").out)
+    near, far = found["errors"]
+    assert (near["distance_m"], near["length_m"], near["pairs"]) == (0.8, 0.1, [])
+    left = near["cameras"]["left"]
+    assert left["pixel_m"] == pytest.approx(0.8 / np.sqrt(512.0625 * 511.5))
+    assert not left["placed_by_boards"]
+    assert set(left["length"]) == {"std_m", "worst_m", "bound_95_m"}
+    assert left["point"] == far["cameras"]["left"]["point"]  # of directions, from the camera itself
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--length", "1m"], "--length needs a distance: add --at, such as --at 0.8m"),
+        (["--at", "near"], "'near' is not lengths such as 0.5m,800mm, separated by commas"),
+        (["--at", "1m"], "camera 'right' states no covariance, so that no errors follow: calibrate with camcal"),
+        (["--camera", "left", "--at", "0.1m", "--length", "1m"], "an object of 1 m has no two ends at 0.1 m"),
+    ],
+)
+def test_errors_that_do_not_follow_are_refused(camcal, rig, arguments, words):
+    result = camcal(rig, *arguments)
+    assert result.code == 2
+    assert words in result.err.splitlines()[-1]

@@ -385,11 +385,12 @@ def test_inspecting_the_camera_file_of_a_fisheye_loads_only_what_reads_it(tmp_pa
         "format: camcal-calibration\nversion: 1\ncameras:\n  fish:\n    image_size: [1000, 1000]\n"
         "    model: kannala_brandt4\n    intrinsics: {fx: 320.0, fy: 320.0, cx: 499.5, cy: 499.5}\n"
         "    distortion: {k1: 0.002, k2: -0.0005, k3: 0.0, k4: 0.0}\n"
+        "    uncertainty: {std: {fx: 0.5, fy: 0.5, cx: 1.0, cy: 1.0, k1: 0.001, k2: 0.001, k3: 0.001, k4: 0.001}}\n"
     )
     program = (
         "import sys\nfrom camcal.cli.main import main\ntry:\n main()\nfinally:\n print(*sys.modules, file=sys.stderr)"
     )
-    command = [sys.executable, "-c", program, "inspect", str(tmp_path / "fish.yaml")]
+    command = [sys.executable, "-c", program, "inspect", str(tmp_path / "fish.yaml"), "--at", "2m"]
     process = subprocess.run(command, capture_output=True, text=True, check=True)
     assert "camcal.tasks.calibration.inspect" in process.stderr.split()
     heavy = {"cv2", "scipy", "matplotlib", "multiprocessing", "pydantic", "camcal.solve.least_squares"}

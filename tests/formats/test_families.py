@@ -21,6 +21,7 @@ DATA = Path(os.environ.get("CAMCAL_TEST_DATA", Path(__file__).parents[3] / "shar
 GOLDEN = DATA.parent / "reference" / "golden_vectors.json"
 SIZE = (752, 480)
 DECLARED = [form for form in FORMATS.values() if form.lenses is not None]
+DECLARED = [form for form in DECLARED if form.suffixes]  # those that are written
 WRITTEN = [(form.name, row) for form in DECLARED for row in form.lenses.rows if row.model in MODELS]
 RIGHT_T_LEFT = Pose.from_vector(np.array([0.011, -0.023, 0.0071]), np.array([-0.1103, 0.00045792, -0.00064487]))
 FISHEYE = "kannala_brandt4"
@@ -140,7 +141,7 @@ def pair_of(model):
     return CameraFile(entries, {"right_T_left": Transform(RIGHT_T_LEFT)})
 
 
-POSED = [form for form in DECLARED if form.most_cameras != 1 and "not" not in form.poses.split() and form.poses]
+POSED = [form for form in DECLARED if form.most_cameras != 1 and form.poses not in ("", "not read")]
 
 
 @pytest.mark.parametrize("form", POSED, ids=[form.name for form in POSED])

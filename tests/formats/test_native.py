@@ -29,6 +29,7 @@ from camcal.formats.camera_file import (
 )
 from camcal.geometry.pose import Pose
 from camcal.quality.projection_uncertainty import KnownRegion
+from camcal.quality.range_uncertainty import CalibrationBoards
 from camcal.targets.board import Surface, parse_board
 
 GOOD = """%YAML 1.1
@@ -84,6 +85,8 @@ def full_file(rng) -> CameraFile:
     covariance[-1] = covariance[:, -1] = 0
     lens = Camera(model, (640, 480), np.array(parameters), covariance, fixed)
     red = Camera(model, (640, 480), np.array(parameters) * 1.0001)
+    shift = rng.normal(size=(3, 15)) * 1e-6
+    shift[:, 11] = 0  # of k6, which is held
     left = CameraEntry(
         lens,
         valid=ValidRegion(0.65, 412.5, np.array([[0.5, 1.5], [600.0, 2.0], [300.0, 470.0]]), CIRCLE),
@@ -101,6 +104,7 @@ def full_file(rng) -> CameraFile:
         sensor={"pixel_pitch_um": 3.45, "gain_e_per_dn": 0.4, "read_noise_e": 2.1, "full_well_e": 10500.0},
         channels={"red": red},
         held_by_prior=("k4", "k5"),
+        boards=CalibrationBoards(0.31, 0.92, 0.4, shift),
         extra={"x_lab": {"shelf": 3, "notes": ["a", "b c"]}},
     )
     pose = Pose.from_vector(np.array([0.01, -0.02, 0.3]), np.array([-0.11, 0.002, 0.003]))
@@ -148,6 +152,8 @@ def test_everything_written_is_read_back_to_twelve_digits(tmp_path):
     left, expected = found.cameras["left"], file.cameras["left"]
     assert_same_camera(left.channels["red"], expected.channels["red"])
     assert left.held_by_prior == ("k4", "k5")
+    assert (left.boards.nearest, left.boards.farthest, left.boards.noise_share) == (0.31, 0.92, 0.4)
+    np.testing.assert_allclose(left.boards.shift, expected.boards.shift, rtol=TWELVE_DIGITS)
     assert (left.noise, left.projection) == (expected.noise, expected.projection)
     assert replace(left.verdict, region=None) == replace(expected.verdict, region=None)
     region, given = vars(left.verdict.region), vars(expected.verdict.region)
@@ -174,6 +180,18 @@ def test_the_shape_of_the_board_comes_back(tmp_path):
     assert found.classes == expected.classes
     for part in ("coefficients", "covariance", "offsets"):
         np.testing.assert_allclose(getattr(found, part), getattr(expected, part), rtol=TWELVE_DIGITS)
+
+
+def test_a_shift_of_the_boards_has_a_number_for_each_parameter_and_axis(saved):
+    block = "    uncertainty: {std: {fx: 0.5}, covariance_order: [fx], covariance: [[0.25]], boards: {nearest_m: 0.3, "
+    rows = "[1.0e-06, 1.0e-06, 0.0, 0.0]", "[0.0, 1.0e-06]", "[0.0, 0.0, 0.0, 1.0e-06]"
+    path = saved(f"{GOOD}{block}farthest_m: 1.0, shift: [{', '.join(rows)}]}}}}\n")
+    assert faults(path)[-1].endswith("boards.shift[1]: 2 numbers; one for each of covariance_order and x, y, z are 4")
+    path = saved(f"{GOOD}{block}shift: [[0.0]]}}}}\n")
+    assert [line.partition("boards")[2] for line in faults(path)] == [
+        ".shift: 1 items; 3 are needed",
+        ": missing key 'farthest_m'",
+    ]
 
 
 @pytest.mark.parametrize(("name", "nothing"), [("tiers", ()), ("classes", {})])

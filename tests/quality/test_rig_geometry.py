@@ -7,8 +7,9 @@ import pytest
 
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera, Rig
+from camcal.errors import InvalidInput
 from camcal.geometry.pose import Pose
-from camcal.quality.rig_geometry import baseline, pair_geometry, rotation_angle
+from camcal.quality.rig_geometry import baseline, pair_errors, pair_geometry, rotation_angle
 
 PINHOLE = Camera(model_named("pinhole"), (640, 480), [500.0, 500.0, 319.5, 239.5])
 FISHEYE = Camera(model_named("kannala_brandt4"), (800, 800), [240.0, 240.0, 399.5, 399.5, 0.01, -0.004, 1e-3, -1e-4])
@@ -99,3 +100,21 @@ def test_errors_of_the_calibration_are_those_of_rigs_drawn_from_its_covariance()
     # one point stands for the median over the field, and 300 samples for the covariance
     assert found.depths[0].calibration == pytest.approx(np.std(depths), rel=0.35)
     assert found.epipolar_px == pytest.approx(np.std(misses), rel=0.35)
+
+
+def test_with_an_uncertain_baseline_lengths_and_depths_are_off_by_its_share():
+    covariance = np.zeros((20, 20))
+    covariance[14, 14] = (0.01 * 0.12) ** 2  # of tx of the right camera: 1 % of the baseline
+    found = pair_errors(pair(PARALLEL, covariance=covariance), "left", "right", 1.5, 0.2)
+    assert found.depth.std == pytest.approx(0.01 * 1.5, rel=1e-3)
+    assert found.length.std == pytest.approx(0.01 * 0.2, rel=1e-3)
+    assert found.depth.matching == pytest.approx(1.5**2 * 0.25 / (500 * 0.12), rel=0.15)  # on the axis
+    assert found.depth.bound == pytest.approx(1.96 * np.hypot(found.depth.std, found.depth.matching), rel=1e-3)
+
+
+def test_errors_of_a_pair_need_a_covariance_and_something_in_both_images():
+    with pytest.raises(InvalidInput, match="left and right: no covariance of where they stand"):
+        pair_errors(pair(PARALLEL), "left", "right", 1.0)
+    behind = Pose.from_vector(np.array([0, np.pi, 0]), np.array([0.1, 0, 0]))
+    found = pair_errors(pair(behind, covariance=np.eye(20)), "left", "right", 1.0, 0.1)
+    assert (found.depth, found.length) == (None, None)

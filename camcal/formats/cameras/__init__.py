@@ -169,6 +169,8 @@ def format_for(path: Path, wanted: str | None, source: CameraFormat, *, by_suffi
     meant = _meant_by(path)
     if wanted is not None and not (by_suffix and meant is not None):
         form = FORMATS[wanted]
+        if not form.suffixes:
+            raise InvalidInput(f"--to {wanted}: {form.title} is read, not written")
         if files.is_stream(path):
             return form
         if path.suffix.lower() not in form.suffixes and not (form.in_folder and not path.suffix):
@@ -184,14 +186,18 @@ def format_for(path: Path, wanted: str | None, source: CameraFormat, *, by_suffi
     known = _with_suffix(path)
     if known and source.name != OWN:
         return FORMATS[OWN]
-    known = known or [form for form in FORMATS.values() if path.suffix.lower() in form.suffixes]
+    raise _unclear(path, known or [form for form in FORMATS.values() if path.suffix.lower() in form.suffixes])
+
+
+def _unclear(path: Path, known: Sequence[CameraFormat]) -> InvalidInput:
+    """Return the error of a path that may be several of the known formats, or is of none."""
     if not known and path.suffix:
         suffixes = dict.fromkeys(suffix for form in FORMATS.values() for suffix in form.suffixes)
-        raise InvalidInput(f"{path.suffix} is not a camera file; use one of {' '.join(suffixes)}", where=str(path))
+        return InvalidInput(f"{path.suffix} is not a camera file; use one of {' '.join(suffixes)}", where=str(path))
     names = ", ".join(form.name for form in known or FORMATS.values())
     kind = path.suffix or "a folder"
     several = "several formats" if len(known) != 1 else "another format only"
-    raise InvalidInput(f"{kind} is written in {several}: give --to and one of {names}", where=str(path))
+    return InvalidInput(f"{kind} is written in {several}: give --to and one of {names}", where=str(path))
 
 
 def _meant_by(path: Path) -> CameraFormat | Row | None:

@@ -75,7 +75,7 @@ def read(sources: Sequence[Source], given: Given) -> CameraFile:
     Of two the right one is the one whose P has a place in the pair. Raises InvalidInput, FileError.
     """
     values = [Values(parse_foreign(source.text, str(source.path))) for source in sources]
-    entries = [_entry(each, given) for each in values]
+    entries = [entry_of(each, given) for each in values]
     warnings = tuple(warning for each in values for warning in each.warnings)
     if len(entries) == 1:
         return CameraFile({name_of(values[0].text("camera_name")): entries[0]}, warnings=warnings)
@@ -96,7 +96,8 @@ def read(sources: Sequence[Source], given: Given) -> CameraFile:
     return CameraFile(names, {f"{RIGHT}{JOINT}{LEFT}": Transform(pose)}, warnings=warnings)
 
 
-def _entry(values: Values, given: Given) -> CameraEntry:
+def entry_of(values: Values, given: Given) -> CameraEntry:
+    """Return the camera of the keys of ROS; raises InvalidInput."""
     size = values.side("image_width"), values.side("image_height")
     core = values.camera_matrix("camera_matrix")
     count = len(values.numbers("distortion_coefficients")) if "distortion_coefficients" in values else 0
@@ -164,7 +165,7 @@ def write(path: Path, file: CameraFile) -> None:
     """
     names, entries = list(file.cameras), list(file.cameras.values())
     if len(entries) == 1:
-        files.write_text(outputs(path, file)[0], _text(file, names[0], _kept(entries[0]) or of_one(entries[0].camera)))
+        files.write_text(outputs(path, file)[0], _text(file, names[0], kept(entries[0]) or of_one(entries[0].camera)))
         return
     if path.suffix or path.is_file() or files.is_stream(path):
         raise InvalidInput(
@@ -181,7 +182,7 @@ def write(path: Path, file: CameraFile) -> None:
         files.write_text(target, _text(file, name, rectified))
 
 
-def _kept(entry: CameraEntry) -> Rectified | None:
+def kept(entry: CameraEntry) -> Rectified | None:
     """Return the R and P that the camera's file had, None if there are none."""
     block: Any = entry.extra.get(VENDOR_KEY)
     try:
@@ -193,7 +194,7 @@ def _kept(entry: CameraEntry) -> Rectified | None:
 
 def _kept_pair(entries: Sequence[CameraEntry], right_T_left: Pose) -> tuple[Rectified, Rectified] | None:
     """Return the R and P that the files of a pair had, if they still say where the right camera stands."""
-    left, right = map(_kept, entries)
+    left, right = map(kept, entries)
     if left is None or right is None:
         return None
     pose = right.placed_from(left)

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from camcal.arrays import Array, Float32Array, FloatArray, readonly
+from camcal.cameras.directions import ray_displacements
 from camcal.cameras.model import Camera
 from camcal.errors import InvalidInput
 from camcal.geometry.pose import Pose, point_jacobian
@@ -119,8 +120,8 @@ def _variance(pair: CalibratedPair, geometry: StereoGeometry, rays: Array, paral
     seen = rays @ pair.rect_R_left
     rotated = seen @ rotation.T
     point = rotated + inverse * translation
-    left = _turns(pair.left, seen)
-    right = _turns(pair.right, point)
+    left = ray_displacements(pair.left, seen)
+    right = ray_displacements(pair.right, point)
     moved = point_jacobian(rotated)
     moved[..., :3] *= inverse
     # What the point that the left ray gives changes by, and the right ray, in the right camera's frame.
@@ -132,19 +133,6 @@ def _variance(pair: CalibratedPair, geometry: StereoGeometry, rays: Array, paral
     d_depth[:, : left.shape[2]] = np.einsum("nj,jk,nkp->np", depth, pair.rect_R_left, left)
     step = parallax * d_depth - geometry.scale * d_inverse
     return np.asarray(np.einsum("np,pq,nq->n", step, pair.covariance, step))
-
-
-def _turns(camera: Camera, points: Array) -> Array:
-    """Return the derivatives (N, 3, K) of the direction of fixed pixels by the parameters, for points (N, 3) there.
-
-    They are at right angles to the direction and as long as that of the point. NaN where the camera does not see it.
-    """
-    jacobians = camera.model.project_with_jacobians(camera.parameters, points)
-    count = len(camera.parameters)
-    result = np.full((len(points), 3, count), np.nan)
-    valid = jacobians.valid
-    result[valid] = -np.linalg.pinv(jacobians.d_point[valid]) @ jacobians.by_parameters(count)[valid]
-    return result
 
 
 def _directions(geometry: StereoGeometry, rays: Array, points: Array) -> tuple[Array, Array]:

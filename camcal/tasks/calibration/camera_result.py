@@ -25,6 +25,7 @@ from camcal.formats.camera_file import (
 from camcal.messages import Message, counted
 from camcal.quality.assess import Assessment
 from camcal.quality.projection_uncertainty import ProjectionUncertainty
+from camcal.quality.range_uncertainty import CalibrationBoards
 from camcal.records import Brief
 from camcal.report.calibration import headline, view_record
 from camcal.report.table import projection_words, region_words
@@ -84,6 +85,7 @@ def camera_entry(
         ),
         channels={colour: channel.lens.camera for colour, channel in channels.items()},
         held_by_prior=calibration.held_by_prior,
+        boards=CalibrationBoards.of(calibration) if calibration.board.unit == "m" else None,
     )
 
 

@@ -19,6 +19,8 @@ from camcal.parsing import did_you_mean
 from camcal.report.table import held_by_prior_words, length_unit, projection_words, value_and_std
 from camcal.run.outputs import writes
 from camcal.targets.board import CLASSES, RATIOS, Surface
+from camcal.tasks.calibration import errors_at_range
+from camcal.tasks.calibration.errors_at_range import RangeErrors, errors_of_file
 from camcal.tasks.gates import stated
 from camcal.tasks.options import InspectOptions
 from camcal.tasks.rigs.inspect_rig import RigInspection, draw_rig, inspect_rig
@@ -30,13 +32,14 @@ class Inspection:
     """A camera file: the records it makes, the cameras that were asked for.
 
     fields: horizontal, vertical and diagonal field of view of each camera, degrees. rig: what the cameras make
-    together, None where they are no rig.
+    together, None where they are no rig. errors: of measurements, at the distances that were asked for.
     """
 
     path: Path
     file: CameraFile
     fields: Mapping[str, tuple[float, float, float]]
     rig: RigInspection | None = None
+    errors: tuple[RangeErrors, ...] = ()
 
     @cached_property
     def document(self) -> documents.Document:
@@ -52,7 +55,8 @@ class Inspection:
 def inspect(options: InspectOptions) -> Inspection:
     """Return what a camera file holds, after drawing the rig to options.output, if that is given.
 
-    Raises InvalidInput or FileError as `cameras.read` does, InvalidInput for a picture of what is no rig.
+    Raises InvalidInput or FileError as `cameras.read` does, InvalidInput for a picture of what is no rig, and for
+    errors of measurements where no covariance is known.
     """
     path, camera = options.address
     file = cameras.read(path)
@@ -64,7 +68,9 @@ def inspect(options: InspectOptions) -> Inspection:
         if rig is None:
             raise InvalidInput("no picture: it needs a file of several cameras that transforms join", where=str(path))
         draw_rig(rig, options.output)
-    return Inspection(path, file, {name: _field_deg(file.cameras[name]) for name in names}, rig)
+    asked = options.measured
+    errors = tuple(errors_of_file(file, rig, each, asked.length, camera) for each in asked.distances)
+    return Inspection(path, file, {name: _field_deg(file.cameras[name]) for name in names}, rig, errors)
 
 
 def _field_deg(entry: CameraEntry) -> tuple[float, float, float]:
@@ -211,4 +217,5 @@ def document(inspection: Inspection) -> dict[str, Any]:
         "stated": {name: stated(inspection.file.cameras[name]) for name in inspection.fields},
         "field_of_view_deg": {name: list(angles) for name, angles in inspection.fields.items()},
         "rig": rig_data(inspection.rig),
+        "errors": [errors_at_range.as_data(each) for each in inspection.errors],
     }

@@ -1,7 +1,6 @@
 """The options of the commands for calibration and board detection."""
 
 from dataclasses import dataclass
-from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -12,21 +11,19 @@ from camcal.options import (
     INPUT,
     LENS,
     NAMES,
-    NUMBER,
     OUTPUT,
     PERCENT,
     SIZE,
     Argument,
     Option,
     OptionsRecord,
-    ValueType,
     Without,
     Written,
 )
-from camcal.parsing import parse_number
 from camcal.raw.options import AS_IMAGES, ImageReadOptions
 from camcal.run.options import DEFAULT_BATCH, BatchOptions
 from camcal.tasks.gates import TRUSTWORTHY
+from camcal.tasks.measured_at import LENGTHS
 from camcal.tasks.options import (
     BOARD_OPTION,
     CAMERA_FILE,
@@ -49,26 +46,8 @@ from camcal.tasks.suggestions import lens_model_names, lens_models
 if TYPE_CHECKING:
     from camcal.targets.board import Board
 
-_LENGTHS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
 MOST_FRAMES = 40
 
-
-def _read_lengths(text: str) -> tuple[float, ...]:
-    """Return lengths in metres, each written with its unit mm, cm or m, or without, separated by commas."""
-    lengths = []
-    for part in text.split(","):
-        unit = next((each for each in _LENGTHS if part.endswith(each)), "")
-        lengths.append(_LENGTHS.get(unit, 1.0) * parse_number(part.removesuffix(unit)))
-    if not all(0 < length < inf for length in lengths):
-        raise ValueError(text)
-    return tuple(lengths)
-
-
-_DISTANCES = ValueType(
-    _read_lengths,
-    lambda values: ",".join(f"{NUMBER.write(value)}m" for value in values),
-    "lengths such as 0.5m,800mm, separated by commas",
-)
 
 Parts = Annotated[
     bool,
@@ -316,7 +295,7 @@ class DiffOptions(OptionsRecord):
             "Distances of points, after the rigid motion that suits best; by default infinity, after a rotation.",
             metavar="LENGTH,…",
             names="--at",
-            type=_DISTANCES,
+            type=LENGTHS,
         ),
     ] = ()
     most_px: Annotated[

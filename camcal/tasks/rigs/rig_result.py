@@ -78,8 +78,10 @@ def rig_file(calibration: RigCalibration, results: Mapping[str, CameraResult], c
         result = results[name]
         entry = camera_entry(calibration.calibrations[name], result.assessment, result.circle)
         verdict = entry.verdict or CalibrationVerdict(True)
+        # the shift of boards that several cameras see is another one than those of one camera say
         entries[name] = replace(
             entry,
+            boards=entry.boards and replace(entry.boards, shift=None),
             verdict=CalibrationVerdict(
                 verdict.trustworthy and not failures, verdict.reasons + failures, None if failures else verdict.region
             ),

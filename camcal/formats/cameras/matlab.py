@@ -1,0 +1,169 @@
+"""MATLAB's cameraParameters, cameraIntrinsics and stereoParameters as structs, in a MAT-file (v7) or as JSON, and the
+Calib_Results.mat of Bouguet's toolbox.
+
+The centre of the top-left pixel is 1, 1 (of Bouguet's 0, 0). IntrinsicMatrix of old releases is the transpose of K;
+which of the two a matrix is follows from where its zeros are. Objects have to be saved as structs, toStruct(params).
+RotationOfCamera2 turns row vectors, PoseCamera2 column vectors; lengths are in WorldUnits.
+Source: MathWorks' documentation of cameraParameters, toStruct, cameraIntrinsicsToOpenCV.
+"""
+
+import io
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from camcal import files
+from camcal.cameras.model import Camera
+from camcal.errors import FileError, InvalidInput
+from camcal.formats.camera_file import CameraEntry, CameraFile, Transform
+from camcal.formats.cameras import bouguet
+from camcal.formats.cameras.lenses import Lenses
+from camcal.formats.cameras.record import CAMERA, LEFT, RIGHT, CameraFormat, Given, Source
+from camcal.formats.cameras.syntax import json_text, json_values
+from camcal.formats.cameras.values import Values
+from camcal.formats.documents import Document
+from camcal.geometry.pose import JOINT
+
+LENSES = Lenses(
+    """
+    standard opencv4 fx fy cx cy k1 k2 p1 p2
+    standard opencv5 fx fy cx cy k1 k2 k3 p1 p2
+    KB kannala_brandt4 fx fy cx cy k1 k2 k3 k4
+    fisheye ocam cx cy
+    """,
+    origin=1.0,
+    instead="calibrate there with the standard model, or undistort the images there and give their camera",
+)
+_UNITS = {"": 1e-3, "mm": 1e-3, "millimeters": 1e-3, "cm": 1e-2, "centimeters": 1e-2, "m": 1.0, "meters": 1.0}
+_TO_STRUCT = "save the struct, s = toStruct(params); save('camera.mat', 's', '-v7')"
+_HEADER = b"MATLAB 5.0 MAT-file, written by camcal".ljust(116)
+
+
+def read(sources: Sequence[Source], given: Given) -> CameraFile:
+    """Return the camera, or the two of a stereo pair; raises InvalidInput, MissingSize, FileError."""
+    values = _values(sources[0])
+    if "fc" in values and "cc" in values:
+        return bouguet.camera_of(values, given)
+    found = _first(values, ("CameraParameters1",))
+    if found is not None:
+        cameras = {
+            side: CameraEntry(_camera(found.below(f"CameraParameters{number}"), given))
+            for number, side in ((1, LEFT), (2, RIGHT))
+        }
+        return CameraFile(cameras, _pair(found), warnings=tuple(found.warnings))
+    found = _first(values, ("K", "IntrinsicMatrix", "MappingCoefficients", "FocalLength", "Intrinsics"))
+    if found is None:
+        raise values.wrong("", f"holds no camera as a struct: {_TO_STRUCT}")
+    if "Intrinsics" in found:
+        found = found.below("Intrinsics")
+    return CameraFile({CAMERA: CameraEntry(_camera(found, given))}, warnings=tuple(found.warnings))
+
+
+def _values(source: Source) -> Values:
+    where = str(source.path)
+    if not source.binary and source.text.lstrip()[:1] == "{":
+        return json_values(source)
+    if source.text.startswith("MATLAB 7.3"):
+        raise InvalidInput("is a MAT-file of version 7.3 (HDF5): save it with save(…, '-v7')", where=where)
+    from scipy.io import loadmat
+
+    try:
+        stream: Any = io.BytesIO(files.read_bytes(source.path))
+        data = loadmat(stream, simplify_cells=True)
+    except Exception as error:  # a damaged file raises whatever its bytes lead to
+        raise FileError("is truncated, or not a MAT-file of version 5 to 7", where=where) from error
+    return Values(Document(where, {key: _plain(item) for key, item in data.items() if key[:2] != "__"}, {}))
+
+
+def _plain(item: Any) -> Any:
+    if isinstance(item, dict):
+        return {key: _plain(each) for key, each in item.items()}
+    return item.tolist() if isinstance(item, np.ndarray) else item
+
+
+def _first(values: Values, keys: Sequence[str]) -> Values | None:
+    """Return the values that have one of these keys: the whole, or what one variable holds."""
+    inner = [values.below(key) for key, item in values.data.items() if isinstance(item, dict)]
+    return next((each for each in (values, *inner) if any(key in each for key in keys)), None)
+
+
+def _camera(values: Values, given: Given) -> Camera:
+    for key in ("K", "IntrinsicMatrix"):
+        if key in values:
+            matrix = values.matrix(key, 3, 3)
+            data = {**values.data, "matrix": (matrix.T if matrix[2, :2].any() else matrix).tolist()}
+    if "MappingCoefficients" in values:
+        LENSES.of(values, "MappingCoefficients", "fisheye")
+    if "K" not in values and "IntrinsicMatrix" not in values:
+        (fx, fy), (cx, cy) = values.numbers("FocalLength", 2), values.numbers("PrincipalPoint", 2)
+        data = {
+            **values.data,
+            "matrix": [[fx, values.number("Skew") if "Skew" in values else 0, cx], [0, fy, cy], [0, 0, 1]],
+        }
+    kannala = "DistortionCoefficients" in values
+    radial = values.numbers("RadialDistortion", 2, 3).tolist() if "RadialDistortion" in values else [0.0, 0.0]
+    tangential = values.numbers("TangentialDistortion", 2).tolist() if "TangentialDistortion" in values else [0.0, 0.0]
+    numbers = values.numbers("DistortionCoefficients", 4).tolist() if kannala else [*radial, *tangential]
+    every = Values(values.document, values.path, {**data, "coefficients": numbers})
+    size = None
+    if values.data.get("ImageSize"):
+        height, width = values.sides("ImageSize")
+        size = width, height
+    size = given.size(size, values.document.where)
+    return LENSES.matrix(every, "matrix", "coefficients", LENSES.of(values, "", "KB" if kannala else "standard"), size)
+
+
+def _pair(values: Values) -> dict[str, Transform]:
+    unit = values.text("WorldUnits") or values.below("CameraParameters1").text("WorldUnits")
+    scale = _UNITS.get(unit.lower(), 1e-3)
+    if "PoseCamera2" in values:
+        pose = values.below("PoseCamera2")
+        turn, shift = pose.matrix("R", 3, 3), pose.numbers("Translation", 3)
+    elif "RotationOfCamera2" in values:
+        turn, shift = values.matrix("RotationOfCamera2", 3, 3).T, values.numbers("TranslationOfCamera2", 3)
+    else:
+        return {}
+    return {f"{RIGHT}{JOINT}{LEFT}": Transform(values.pose("RotationOfCamera2", turn, shift * scale))}
+
+
+def write(path: Path, file: CameraFile) -> None:
+    """Write a camera as a struct, or as JSON where the suffix says so; raises FileError."""
+    (entry,) = file.cameras.values()
+    lens, numbers = LENSES.written(entry.camera)
+    width, height = entry.camera.image_size
+    matrix = [[numbers["fx"], 0.0, numbers["cx"]], [0.0, numbers["fy"], numbers["cy"]], [0.0, 0.0, 1.0]]
+    data: dict[str, Any] = {"K": matrix, "ImageSize": [float(height), float(width)]}
+    if lens.word == "KB":
+        data["DistortionCoefficients"] = [numbers[f"k{order}"] for order in range(1, 5)]
+    else:
+        data["RadialDistortion"] = [numbers[key] for key in ("k1", "k2", "k3") if key in numbers]
+        data["TangentialDistortion"] = [numbers["p1"], numbers["p2"]]
+    if path.suffix.lower() == ".json":
+        files.write_text(path, json_text({"comment": FORMAT.note, **data}))
+        return
+    files.write_bytes(path, _mat(data))
+
+
+def _mat(data: Mapping[str, Any]) -> bytes:
+    """Return a MAT-file with the struct `camera`, the same bytes for the same data."""
+    from scipy.io import savemat
+
+    stream: Any = io.BytesIO()
+    savemat(stream, {"camera": {**{key: np.array(item) for key, item in data.items()}, "comment": FORMAT.note}})
+    return _HEADER + bytes(stream.getvalue()[116:])
+
+
+FORMAT = CameraFormat(
+    name="matlab",
+    title="MATLAB camera parameters",
+    suffixes=(".mat", ".json"),
+    models=LENSES.models,
+    read=read,
+    write=write,
+    lenses=LENSES,
+    most_cameras=1,
+    poses="RotationOfCamera2, PoseCamera2: right_T_left, read only",
+    note="cameraIntrinsics([K(1,1) K(2,2)], [K(1,3) K(2,3)], ImageSize, RadialDistortion=…, TangentialDistortion=…)",
+)
