@@ -170,8 +170,9 @@ def _require_likely_bits(path: Path, content: Array, values: Array, layout: Layo
     """
     stated, bits = layout.pixel_format, layout.pixel_format.bits
     likeness = _likeness(values)
-    filled = stated.packing is not None and int(values.max()) > stated.white >> _DARK
-    filled = filled and _zero_bits(values) < _SPARE and _has_zero_bits(content)
+    groups = content[: len(content) // _GROUPS * _GROUPS].reshape(-1, _GROUPS)
+    filled = stated.packing is not None and int(values.max()) > stated.white >> _DARK and _zero_bits(values) < _SPARE
+    filled = filled and bool((np.bitwise_or.reduce(groups, axis=0) != 0xFF).any())
     if likeness >= _UNLIKE and not filled:
         return
     other = {"little": "big", "big": "little"}[layout.endian]
@@ -201,12 +202,6 @@ def _zero_bits(values: Array) -> int:
     """Return how many of the lowest bits are zero in all samples."""
     used = int(np.bitwise_or.reduce(values, axis=None))
     return (used & -used).bit_length() - 1 if used else 0
-
-
-def _has_zero_bits(content: Array) -> bool:
-    """Return whether some bit of packed groups, of 3 or 5 bytes, may be zero in all of them."""
-    groups = content[: len(content) // _GROUPS * _GROUPS].reshape(-1, _GROUPS)
-    return bool((np.bitwise_or.reduce(groups, axis=0) != 0xFF).any())
 
 
 def _likeness(values: Array) -> float:
