@@ -103,14 +103,20 @@ _CALLS = {  # a comment with the purpose above each call, as in a shell
         convert camchain.yaml rig.yaml
     """,
     "inspect": """
-        # What a camera file holds, with its verdict
-        inspect camera.yaml
-        # One value of it, for a script
+        # One value of a camera file, for a script
         inspect camera.yaml --get cameras.camera.quality.rms_px
         # How well it measures at 0.8 m: points, and an object of 100 mm
         inspect camera.yaml --at 0.8m --length 100mm
         # Size, pattern and exposure of a raw frame
         inspect IMG_0001.DNG
+    """,
+    "check": """
+        # Whether last month's calibration still holds
+        check camera.yaml today/*.png
+        # All cameras of a rig and how they stand to each other, for a build server
+        check rig.yaml left=today/left right=today/right --junit check.xml
+        # By how much a camera has moved against a board that has not
+        check camera.yaml now.png --reference installed.yaml
     """,
     "diff": """
         # Whether two calibrations are of the same camera

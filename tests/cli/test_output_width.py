@@ -43,6 +43,7 @@ RUNS = {
     "report": "report pair.yaml -o report.html",
     "rerun": "rerun again.html -o again",
     "plot": "plot path.tum -o plotted",
+    "check": "check rig.yaml#camera_1 seen.csv",
     "diff": "diff pair.yaml#left pair.yaml#right",
     "convert": "convert pair.yaml converted.yml --to opencv",
     "calibrate": "calibrate seen.csv -o camera.yaml -j 1",
