@@ -109,8 +109,6 @@ CODES: Mapping[str, Mapping[str, str]] = {
         "swapped_cameras": "left and right camera files may be swapped",
         "inconsistent_projections": "the projection matrices of a pair do not match",
         "doubtful_distortion_model": "a lens that is said to be plumb_bob has the numbers of a fisheye",
-        "initial_calibration": "a calibration of Metashape before the cameras were optimised",
-        "stretched_images": "a lens of frames that were stretched, as anamorphic ones are",
         "unplaced_camera": "a camera without transform to the others",
         "initial_calibration": "a camera of another program has its initial values, which are not adjusted yet",
         "stretched_images": "the lens of a file is that of stretched images",
