@@ -2,10 +2,10 @@
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -19,13 +19,12 @@ from camcal.parsing import did_you_mean
 from camcal.report.table import held_by_prior_words, length_unit, projection_words, value_and_std
 from camcal.run.outputs import writes
 from camcal.targets.board import CLASSES, RATIOS, Surface
+from camcal.tasks.calibration import errors_at_range
+from camcal.tasks.calibration.errors_at_range import RangeErrors, errors_of_file
 from camcal.tasks.gates import stated
 from camcal.tasks.options import InspectOptions
 from camcal.tasks.rigs.inspect_rig import RigInspection, draw_rig, inspect_rig
 from camcal.tasks.rigs.inspect_rig import as_data as rig_data
-
-if TYPE_CHECKING:
-    from camcal.tasks.calibration.errors_at_range import RangeErrors
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +39,7 @@ class Inspection:
     file: CameraFile
     fields: Mapping[str, tuple[float, float, float]]
     rig: RigInspection | None = None
-    errors: tuple["RangeErrors", ...] = ()
+    errors: tuple[RangeErrors, ...] = ()
 
     @cached_property
     def document(self) -> documents.Document:
@@ -69,15 +68,9 @@ def inspect(options: InspectOptions) -> Inspection:
         if rig is None:
             raise InvalidInput("no picture: it needs a file of several cameras that transforms join", where=str(path))
         draw_rig(rig, options.output)
-    found = Inspection(path, file, {name: _field_deg(file.cameras[name]) for name in names}, rig)
     asked = options.measured
-    if not asked.distances:
-        return found
-    from camcal.tasks.calibration.errors_at_range import errors_of_file
-
-    return replace(
-        found, errors=tuple(errors_of_file(file, rig, each, asked.length, camera) for each in asked.distances)
-    )
+    errors = tuple(errors_of_file(file, rig, each, asked.length, camera) for each in asked.distances)
+    return Inspection(path, file, {name: _field_deg(file.cameras[name]) for name in names}, rig, errors)
 
 
 def _field_deg(entry: CameraEntry) -> tuple[float, float, float]:
@@ -218,8 +211,6 @@ def image_rows(file: CameraFile) -> list[list[str]]:
 
 def document(inspection: Inspection) -> dict[str, Any]:
     """Return the inspection as plain data for --json: the file as it stands, and what follows from it."""
-    from camcal.tasks.calibration import errors_at_range
-
     return {
         "file": inspection.document.where,
         "content": inspection.document.data,
