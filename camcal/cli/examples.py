@@ -105,12 +105,18 @@ _CALLS = {  # a comment with the purpose above each call, as in a shell
     "inspect": """
         # What a camera file holds, with its verdict
         inspect camera.yaml
-        # One value of it, for a script
-        inspect camera.yaml --get cameras.camera.quality.rms_px
         # How well it measures at 0.8 m: points, and an object of 100 mm
         inspect camera.yaml --at 0.8m --length 100mm
         # Size, pattern and exposure of a raw frame
         inspect IMG_0001.DNG
+    """,
+    "advise": """
+        # Which views to take next, with their picture
+        advise camera.yaml -o next.png
+        # The same from corners, with the views that may be left out
+        advise corners.csv
+        # Five views of one camera of a rig, for a program
+        advise rig.yaml#left --views 5 --json
     """,
     "diff": """
         # Whether two calibrations are of the same camera

@@ -50,6 +50,7 @@ COMMANDS = (
     Entry("convert", "inspect:convert", "Convert camera files from and to OpenCV, ROS and Kalibr."),
     Entry("inspect", "inspect:inspect", "Show a camera file or a raw frame."),
     Entry("diff", "inspect:diff", "Compare cameras: the same, moved, or another."),
+    Entry("advise", "calibrate:advise", "Suggest the views to take next."),
     Entry("demosaic", "raw:demosaic", "Demosaic raw frames."),
     Entry("sensor", "raw:sensor", "Measure a sensor by photon transfer (EMVA 1288)."),
     Entry("stereo", "", "Calibrate, rectify, check and match pairs; point clouds."),

@@ -44,6 +44,7 @@ RUNS = {
     "rerun": "rerun again.html -o again",
     "plot": "plot path.tum -o plotted",
     "diff": "diff pair.yaml#left pair.yaml#right",
+    "advise": "advise seen.csv -o advised.png",
     "convert": "convert pair.yaml converted.yml --to opencv",
     "calibrate": "calibrate seen.csv -o camera.yaml -j 1",
     "rig": "rig two.csv --model opencv4 --flat-board --no-free-corners -o two.yaml",
