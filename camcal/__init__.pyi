@@ -93,6 +93,7 @@ from camcal.targets.detection import Detections as Detections
 from camcal.targets.markers import detect_markers as detect_markers
 from camcal.tasks.calibration.advise import advise_views as advise_views
 from camcal.tasks.calibration.camera_result import CalibrateReport as CalibrateReport
+from camcal.tasks.calibration.check import check_camera as check_camera
 from camcal.tasks.calibration.diff import compare_cameras as compare_cameras
 from camcal.tasks.calibration.errors_at_range import RangeErrors as RangeErrors
 from camcal.tasks.calibration.errors_at_range import errors_at_range as errors_at_range
@@ -173,6 +174,7 @@ __all__ = [
     "build_maps",
     "build_pair_maps",
     "calibrate_camera",
+    "check_camera",
     "compare_cameras",
     "demosaic",
     "detect_board",

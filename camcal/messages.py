@@ -109,6 +109,8 @@ CODES: Mapping[str, Mapping[str, str]] = {
         "swapped_cameras": "left and right camera files may be swapped",
         "inconsistent_projections": "the projection matrices of a pair do not match",
         "unplaced_camera": "a camera without transform to the others",
+        "initial_calibration": "a camera of another program has its initial values, which are not adjusted yet",
+        "stretched_images": "the lens of a file is that of stretched images",
         "inconsistent_chain": "transforms of a file contradict each other",
         "outside_region": "a view or points lie in parts of the image in which the camera is not known well enough",
         "reduced_scale": "an undistorted image is much smaller at its centre than the source",
@@ -117,6 +119,9 @@ CODES: Mapping[str, Mapping[str, str]] = {
         "camera_difference": "the projections of two cameras differ by more than --max",
         "camera_difference_sigmas": "the difference of two cameras is more standard deviations than --max-sigma",
         "unknown_difference_std": "the standard deviation of the difference of two cameras is not known",
+        "drifted": "new images show that a camera is no longer as calibrated, or stands otherwise",
+        "not_shown": "new images would not have shown a drift above the limit",
+        "check_image": "the images of a check are noisy, moved, of other sizes, or of a board that has changed",
         "replaced_view": "the camera file of an undistorted view was replaced by that of another one",
     },
     "Poses": {

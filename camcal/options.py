@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
 
 from camcal.errors import InvalidInput
-from camcal.parsing import did_you_mean, parse_integer, parse_number, parse_numbers
+from camcal.parsing import did_you_mean, parse_crop, parse_integer, parse_number, parse_numbers, parse_size
 from camcal.records import Brief
 
 INPUT, BOARD, LENS, RAW_FRAMES = "Input", "Board", "Lens", "Raw frames"
@@ -70,17 +70,6 @@ def separated(needed: str, separator: str = ",", count: int | None = None) -> Va
     return ValueType(read, lambda values: separator.join(map(NUMBER.write, values)), needed)
 
 
-def parse_size(text: str) -> tuple[int, int]:
-    """Return (width, height) from a size written as 1920x1080; raises ValueError for anything else."""
-    width, _, height = text.lower().partition("x")
-    if not (width.isdecimal() and height.isdecimal()):
-        raise ValueError(text)
-    size = parse_integer(width), parse_integer(height)
-    if not all(size):
-        raise ValueError(text)
-    return size
-
-
 TEXT = ValueType(str, str, "a text")
 PATH = ValueType(Path, str, "a path")
 INTEGER = ValueType(parse_integer, str, "a whole number")
@@ -89,6 +78,9 @@ MILLIMETRES, MICROMETRES, MILLISECONDS = scaled(1e-3), scaled(1e-6), scaled(1e-3
 DEGREES = scaled(pi / 180)
 NUMBERS = separated("numbers, separated by commas")
 SIZE = ValueType(parse_size, lambda size: "{}x{}".format(*size), "a size, written as WIDTHxHEIGHT such as 1920x1080")
+CROP = ValueType(
+    parse_crop, lambda part: "{}x{}+{}+{}".format(*part), "a part, written as WxH+X+Y such as 640x480+10+20"
+)
 NAMES = ValueType(
     lambda text: tuple(name for part in text.split(",") if (name := part.strip())), ",".join, "names, with commas"
 )

@@ -65,3 +65,22 @@ def _require_plain(text: str) -> None:
 def in_one_line(text: str) -> str:
     """Return a name with its line breaks written as escapes, so that a message about it keeps to its line."""
     return text.translate(_LINE_BREAKS)
+
+
+def parse_size(text: str) -> tuple[int, int]:
+    """Return (width, height) from a size written as 1920x1080; raises ValueError for anything else."""
+    width, _, height = text.lower().partition("x")
+    if not (width.isdecimal() and height.isdecimal()):
+        raise ValueError(text)
+    size = parse_integer(width), parse_integer(height)
+    if not all(size):
+        raise ValueError(text)
+    return size
+
+
+def parse_crop(text: str) -> tuple[int, int, int, int]:
+    """Return (width, height, x, y) from a part written as 640x480+10+20; raises ValueError for anything else."""
+    size, *corner = text.split("+")
+    if len(corner) != 2 or not all(each.isdecimal() for each in corner):
+        raise ValueError(text)
+    return (*parse_size(size), parse_integer(corner[0]), parse_integer(corner[1]))

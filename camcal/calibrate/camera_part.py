@@ -69,7 +69,8 @@ class CameraPart:
         self.board: dict[str, Scale] = first_scales()
         self.share = 1.0
         # offsets of the points may follow the corners of a view or two exactly, as if these had no noise at all
-        self.finest = FINEST if self.claimed is None else _FINER * _typical_std(self.claimed[self.present])
+        finest = FINEST if self.claimed is None else _FINER * _typical_std(self.claimed[self.present])
+        self.finest = max(finest, problem.finest)
 
     def residuals(self, place: Place) -> Array:
         """Return the residuals (2, V, P) that effects do not explain, NaN where the lens has no image.

@@ -71,7 +71,8 @@ class BoardProblem:
     board's points move as well. sigma: the noise of a pixel coordinate; priors count against it. points: (C, 3) the
     board as it is known to be, None for as drawn. lens_spread: (K,) standard deviations of the weak priors on the
     lens parameters about the model's prior_mean, inf for none. term_std: (S,), offset_std: (3,) those of the
-    board's terms and offsets, in its unit. noise: (V,) the variance of a view's corners over that of a typical view.
+    board's terms and offsets, in its unit; board_known: whether they stay as they are, not follow what views show.
+    noise: (V,) the variance of a view's corners over that of a typical view; finest: px, the least it may be.
     """
 
     model: CameraModel
@@ -86,7 +87,9 @@ class BoardProblem:
     lens_spread: Array | None = None
     term_std: Array | None = None
     offset_std: Array | None = None
+    board_known: bool = False
     noise: Array | None = None
+    finest: float = 0.0
 
     @property
     def shared(self) -> int:

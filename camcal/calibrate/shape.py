@@ -145,7 +145,11 @@ def with_terms(problem: BoardProblem, state: State) -> tuple[BoardProblem, State
 
 
 def with_priors(problem: BoardProblem, scales: Mapping[str, Scale]) -> BoardProblem:
-    """Return the problem with the priors of these scales on the board's shape, as far as it has terms and offsets."""
+    """Return the problem with the priors of these scales on the board's shape, as far as it has terms and offsets and
+    is not known.
+    """
+    if problem.board_known:
+        return problem
     if problem.terms:
         stds = [
             _std(scales[name], own.median) * scale_unit(problem.board, term)

@@ -147,7 +147,7 @@ class Rig(Brief):
             for name, camera in self.cameras.items():
                 rows = self.rows(name)
                 lens = slice(rows.start, rows.stop - 6)
-                jacobian[lens, lens] = _resizing(camera, cameras[name].image_size)[1]
+                jacobian[lens, lens] = reframing(camera, _scale(camera, cameras[name].image_size))[1]
             covariance = jacobian @ covariance @ jacobian.T
         return Rig(cameras, self.rig_T_camera, covariance)
 
@@ -165,15 +165,29 @@ def resized(camera: Camera, image_size: tuple[int, int]) -> Camera:
             f"images of {width} x {height} pixels are not resized images of {usual_width} x {usual_height}: "
             "they need a camera of their own"
         )
-    parameters, jacobian = _resizing(camera, image_size)
+    return reframed(camera, image_size, _scale(camera, image_size))
+
+
+def reframed(
+    camera: Camera, image_size: tuple[int, int], scale: tuple[float, float], offset: tuple[float, float] = (0.0, 0.0)
+) -> Camera:
+    """Return the camera of its images resized by `scale` (x, y), then cropped at `offset` (x, y) px to a size (width,
+    height), its covariance carried along.
+    """
+    parameters, jacobian = reframing(camera, scale, offset)
     covariance = None if camera.covariance is None else jacobian @ camera.covariance @ jacobian.T
     return Camera(camera.model, image_size, parameters, covariance, camera.fixed)
 
 
-def _resizing(camera: Camera, image_size: tuple[int, int]) -> tuple[Array, Array]:
-    """Return the parameters (K,) for resized images, and their derivatives (K, K) by those for the usual ones."""
-    scale = image_size[0] / camera.image_size[0], image_size[1] / camera.image_size[1]
-    parameters = camera.model.rescale(camera.parameters, scale, (0.0, 0.0))
-    # resizing is affine in the parameters: a step of 1 gives the exact derivative
-    moved = [camera.model.rescale(camera.parameters + step, scale, (0.0, 0.0)) for step in np.eye(len(parameters))]
+def reframing(
+    camera: Camera, scale: tuple[float, float], offset: tuple[float, float] = (0.0, 0.0)
+) -> tuple[Array, Array]:
+    """Return the parameters (K,) as in `reframed`, and their derivatives (K, K) by those of the camera."""
+    parameters = camera.model.rescale(camera.parameters, scale, offset)
+    # both are affine in the parameters: a step of 1 gives the exact derivative
+    moved = [camera.model.rescale(camera.parameters + step, scale, offset) for step in np.eye(len(parameters))]
     return parameters, np.column_stack(moved) - parameters[:, None]
+
+
+def _scale(camera: Camera, image_size: tuple[int, int]) -> tuple[float, float]:
+    return image_size[0] / camera.image_size[0], image_size[1] / camera.image_size[1]

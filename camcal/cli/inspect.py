@@ -10,11 +10,14 @@ from camcal.cli import show
 from camcal.cli.call import Call, ImageCall
 from camcal.files import STANDARD
 from camcal.report.table import Column
+from camcal.tasks.calibration.check_options import CheckOptions
 from camcal.tasks.calibration.options import DiffOptions
-from camcal.tasks.options import CAMERA_SUFFIXES, ConvertFileOptions, InspectOptions, PlotOptions
+from camcal.tasks.convert_options import ConvertFileOptions
+from camcal.tasks.options import CAMERA_SUFFIXES, InspectOptions, PlotOptions
 from camcal.tasks.reports.options import ReportOptions, RerunOptions
 
 if TYPE_CHECKING:
+    from camcal.tasks.calibration.check import CheckReport
     from camcal.tasks.calibration.diff import DiffReport
     from camcal.tasks.calibration.inspect import Inspection
     from camcal.tasks.convert import ConvertReport
@@ -156,6 +159,32 @@ def _show_rig(rig: "RigInspection") -> None:
             show.table(title, DEPTH_COLUMNS, rows)
     if isinstance(error := rig.measured.get("epipolar_rms_px"), float):
         show.text(f"Epipolar error of the calibration images {error:.3f} px RMS")
+
+
+def check(options: CheckOptions, call: ImageCall) -> None:
+    """Check by new images of a board, from one on, whether the calibration of a camera or a rig still holds.
+
+    The answer is "still valid", "drifted" (exit 7: by how much, and the lens, the mount, the board or the images) or
+    "not shown" (exit 4: the smallest drift that the images would have shown). The board is that of the calibration
+    unless --board names another one.
+    """
+    from camcal.tasks.calibration.check import check as run
+    from camcal.tasks.calibration.check import document
+
+    report = run(options, call.progress)
+    call.give(lambda: document(report), lambda: _show_check(report, call.verbose))
+    report.require_valid()
+
+
+def _show_check(report: "CheckReport", verbose: bool) -> None:
+    from camcal.tasks.calibration.check import COLUMNS, rows
+
+    if len(report.found) == 1:
+        [found] = report.found.values()
+        show.text(found.words)
+    else:
+        show.table("checks", COLUMNS, rows(report), verbose=verbose)
+    show.wrote(*report.outputs)
 
 
 def diff(options: DiffOptions, call: Call) -> None:

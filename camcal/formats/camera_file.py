@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from camcal.arrays import FloatArray, readonly
-from camcal.cameras.model import Camera, Rig
+from camcal.cameras.model import Camera, Rig, reframed, reframing, resized
 from camcal.cameras.validity import ImageCircle, valid_block
 from camcal.errors import InvalidInput
 from camcal.geometry.frame_graph import FrameGraph
@@ -155,6 +155,78 @@ class CameraFile(Brief):
     converted_from: Mapping[str, object] = field(default_factory=dict)
     extra: Mapping[str, object] = field(default_factory=dict)
     warnings: tuple[Message, ...] = ()
+
+
+@dataclass(frozen=True)
+class Framing:
+    """Which part of a camera's images others are, applied in this order.
+
+    crop: width, height and the top-left pixel x, y of a part. binning: so many pixels a side became one. scale_to: the
+    (width, height) that images were resized to.
+    """
+
+    crop: tuple[int, int, int, int] | None = None
+    binning: int = 1
+    scale_to: tuple[int, int] | None = None
+
+    def of(self, camera: Camera) -> tuple[Camera, FloatArray]:
+        """Return the camera of such images, and the derivatives (K, K) of its parameters.
+
+        Raises InvalidInput for a part that is not in the image, and a size of another shape.
+        """
+        jacobian = np.eye(len(camera.parameters))
+        if self.crop is not None:
+            width, height, x, y = self.crop
+            if x + width > camera.image_size[0] or y + height > camera.image_size[1]:
+                size = "{}x{}".format(*camera.image_size)
+                raise InvalidInput(f"--crop {width}x{height}+{x}+{y}: not within the image of {size} pixels")
+            jacobian = reframing(camera, (1.0, 1.0), (x, y))[1] @ jacobian
+            camera = reframed(camera, (width, height), (1.0, 1.0), (x, y))
+        if self.binning > 1:
+            width, height = (side // self.binning for side in camera.image_size)
+            if not width or not height:
+                raise InvalidInput(f"--binning {self.binning}: more than the image has pixels")
+            scale = 1 / self.binning, 1 / self.binning
+            jacobian = reframing(camera, scale)[1] @ jacobian
+            camera = reframed(camera, (width, height), scale)
+        if self.scale_to is not None:
+            usual, camera = camera, resized(camera, self.scale_to)
+            scale = camera.image_size[0] / usual.image_size[0], camera.image_size[1] / usual.image_size[1]
+            jacobian = reframing(usual, scale)[1] @ jacobian
+        return camera, jacobian
+
+
+def framed(file: CameraFile, framing: Framing) -> CameraFile:
+    """Return a file for other images, with all covariances.
+
+    Figures in pixels of the usual images (residuals, noise, uncertainty, regions) are left out.
+    Raises InvalidInput as `Framing.of` does.
+    """
+    if framing == Framing():
+        return file
+    entries, jacobians = {}, {}
+    for name, entry in file.cameras.items():
+        camera, jacobians[name] = framing.of(entry.camera)
+        entries[name] = replace(
+            entry,
+            camera=camera,
+            valid=None if entry.valid is None else ValidRegion(max_theta=entry.valid.max_theta),
+            channels={channel: framing.of(own)[0] for channel, own in entry.channels.items()},
+            verdict=verdict_of_view(entry.verdict),
+            projection=(),
+            quality={},
+            noise=None,
+        )
+    joint = file.joint_covariance
+    if joint is not None:
+        jacobian = np.eye(len(joint.names))
+        for name, own in jacobians.items():
+            names = [f"{name}.{each}" for each in file.cameras[name].camera.model.parameter_names]
+            known = [place for place, each in enumerate(names) if each in joint.names]
+            rows = [joint.names.index(names[place]) for place in known]
+            jacobian[np.ix_(rows, rows)] = own[np.ix_(known, known)]
+        joint = JointCovariance(joint.names, jacobian @ joint.matrix @ jacobian.T)
+    return replace(file, cameras=entries, joint_covariance=joint)
 
 
 def rig_of(file: CameraFile, where: str) -> tuple[Rig, str]:

@@ -33,7 +33,7 @@ _LEAST = 1e-6  # of the mean variance over the image, of a pixel that hardly mov
 _RANK = 1e-6  # of changes of a camera's axes: less is a rotation
 _EQUAL_PX = 1e-3  # RMS: the same lens, written in another way
 _ROUNDING_PX = 1e-9  # what two projections of one ray differ by
-_ZOOM, _SHIFT = 0.03, 0.03  # of the focal length, of the image's diagonal: more is no lens that moved
+MOST_ZOOM, MOST_SHIFT = 0.03, 0.03  # of the focal length, of the image's diagonal: more is no lens that moved
 
 
 @dataclass(frozen=True, eq=False)
@@ -250,5 +250,5 @@ def _judge(total: Excess, rest: Excess, found: CameraComparison) -> tuple[str, s
     reason += f"; focal length {100 * found.focal:+.2f} %, principal point by ({shift[0]:+.1f}, {shift[1]:+.1f}) px"
     if rest.chance < CHANCE:
         return OTHER, f"{reason}, and distortion differs by {rest.sigmas:.1f} times its standard deviation"
-    moved = abs(found.focal) <= _ZOOM and np.hypot(*shift) <= _SHIFT * diagonal
+    moved = abs(found.focal) <= MOST_ZOOM and np.hypot(*shift) <= MOST_SHIFT * diagonal
     return MOVED if moved else OTHER, reason

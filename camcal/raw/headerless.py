@@ -29,6 +29,8 @@ _ROW_UNITS = (16, 32, 64)  # bytes that drivers pad rows to
 _OFFERS = 6  # candidates in one message
 # Correlation of neighbouring samples of one colour, below which they are unlike, above which alike; of so many rows.
 _UNLIKE, _ALIKE, _ROWS = 0.3, 0.6, 200
+_SPARE, _DARK, _AS_ALIKE = 2, 3, 0.05  # zero bits that tell their order; of dark frames; loss of likeness
+_GROUPS = 15  # bytes, that packed groups of 3 or 5 fill
 _LEAST, _GROUP, _BYTE = 32, 4, 8  # pixels of the smallest frame that shows it; of a packed group; bits
 
 
@@ -161,9 +163,17 @@ def _require_upper_bits(path: Path, words: Array, layout: Layout) -> None:
 
 
 def _require_likely_bits(path: Path, content: Array, values: Array, layout: Layout) -> None:
-    """Raise InvalidInput if pixels of one colour are unlike each other, and alike with another order of the bits."""
+    """Raise InvalidInput if pixels of one colour are unlike each other, and alike with another order of the bits.
+
+    Of samples with fewer bits than the format has, as an 8-bit sensor's in a 12-bit file, the lowest bits are zero in
+    the right order of the bits, and in no other one: wrong ones may look alike. Of dark frames, the highest are zero.
+    """
     stated, bits = layout.pixel_format, layout.pixel_format.bits
-    if _likeness(values) >= _UNLIKE:
+    likeness = _likeness(values)
+    groups = content[: len(content) // _GROUPS * _GROUPS].reshape(-1, _GROUPS)
+    filled = stated.packing is not None and int(values.max()) > stated.white >> _DARK and _zero_bits(values) < _SPARE
+    filled = filled and bool((np.bitwise_or.reduce(groups, axis=0) != 0xFF).any())
+    if likeness >= _UNLIKE and not filled:
         return
     other = {"little": "big", "big": "little"}[layout.endian]
     readings = [
@@ -174,11 +184,24 @@ def _require_likely_bits(path: Path, content: Array, values: Array, layout: Layo
     ]
     if stated.packing is None and bits > _BYTE:
         readings.append((stated, other, f"--endian {other}"))
+    found = []
     for each, endian, words in readings:
         samples = unpack(content, each, layout.size, stride=layout.stride, endian=endian, align=layout.align)
-        if _likeness(samples) > _ALIKE:
-            text = f"as {layout}, neighbouring pixels of one colour are unlike each other; {words} fits"
-            raise InvalidInput(text, where=str(path))
+        zeros = _zero_bits(samples) if filled else 0
+        found.append((zeros if zeros >= _SPARE else 0, _likeness(samples), words))
+    zeros, alike, words = max(found, default=(0, 0.0, ""))
+    if zeros and alike > max(_ALIKE, likeness - _AS_ALIKE):
+        text = f"as {layout}, pixels are mixed up; {words} fits: there, the lowest {zeros} bits of all are zero"
+        raise InvalidInput(text, where=str(path))
+    if likeness < _UNLIKE and alike > _ALIKE:
+        text = f"as {layout}, neighbouring pixels of one colour are unlike each other; {words} fits"
+        raise InvalidInput(text, where=str(path))
+
+
+def _zero_bits(values: Array) -> int:
+    """Return how many of the lowest bits are zero in all samples."""
+    used = int(np.bitwise_or.reduce(values, axis=None))
+    return (used & -used).bit_length() - 1 if used else 0
 
 
 def _likeness(values: Array) -> float:

@@ -9,14 +9,14 @@ from camcal import files
 from camcal.cameras.refit import Refit
 from camcal.errors import InvalidInput
 from camcal.formats import cameras, provenance
-from camcal.formats.camera_file import CameraFile
+from camcal.formats.camera_file import CameraFile, framed
 from camcal.formats.cameras.record import CameraFormat, Given
 from camcal.options import command_line
 from camcal.progress import SILENT, Progress
 from camcal.run.outputs import claim, writes
 from camcal.run.paths import split_address
-from camcal.tasks.given_camera import require_no_image
-from camcal.tasks.options import ConvertFileOptions
+from camcal.tasks.convert_options import ConvertFileOptions
+from camcal.tasks.given_camera import framing_of, require_no_image
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,6 +63,7 @@ def convert(options: ConvertFileOptions, progress: Progress = SILENT) -> Convert
     source = cameras.format_of(path)
     if (wanted := options.camera or name) is not None:
         file = cameras.only(file, wanted, str(path))
+    file = framed(file, framing_of(options.given))
     written = tuple(_convert_file(file, output, source, options) for output in options.outputs)
     report = ConvertReport(source, written)
     claim(report.outputs)

@@ -11,7 +11,7 @@ from camcal.cameras.lens import FISHEYE
 from camcal.cameras.model import Camera
 from camcal.errors import InvalidInput
 from camcal.formats import cameras
-from camcal.formats.camera_file import CalibrationVerdict, CameraEntry, CameraFile
+from camcal.formats.camera_file import CalibrationVerdict, CameraEntry, CameraFile, Framing, framed
 from camcal.formats.cameras.record import CAMERA, Given, MissingSize
 from camcal.messages import Message
 from camcal.progress import SILENT, Progress
@@ -38,8 +38,24 @@ def read_camera_file(
 
     size_of_images: asked where neither the options nor the file say for which size of images the camera is. second: the
     other file of a rig that is written as two.
-    Raises InvalidInput for an image in place of the file, where the size remains unknown, and as `cameras.read` does.
+    Raises InvalidInput for an image in place of the file, where the size remains unknown, and as `cameras.read` and
+    `framed` do.
     """
+    return framed(_read_camera_file(address, given, progress, size_of_images, second), framing_of(given))
+
+
+def framing_of(given: GivenCamera) -> Framing:
+    """Return which part of a camera's images the given ones are."""
+    return Framing(given.crop, given.binning or 1, given.scale_to)
+
+
+def _read_camera_file(
+    address: str | None,
+    given: GivenCamera,
+    progress: Progress,
+    size_of_images: Callable[[], Size | None],
+    second: Path | None,
+) -> CameraFile:
     if given.camera_matrix is not None:
         size = given.size or size_of_images()
         if size is None:

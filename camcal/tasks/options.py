@@ -4,13 +4,14 @@ No module of options imports the core: a command knows its options before it run
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 from camcal.errors import InvalidInput
 from camcal.options import (
     BOARD,
+    CROP,
     GENERAL,
     INPUT,
     NUMBERS,
@@ -21,7 +22,6 @@ from camcal.options import (
     Option,
     OptionsRecord,
     ValueType,
-    Without,
     Written,
     separated,
 )
@@ -29,7 +29,7 @@ from camcal.raw.names import MONO, PATTERNS
 from camcal.raw.options import NO_LAYOUT, GivenLayout
 from camcal.tasks.gates import NO_GATES, CameraGates
 from camcal.tasks.measured_at import NOWHERE, MeasuredAt
-from camcal.tasks.suggestions import board_kinds, camera_formats, format_names
+from camcal.tasks.suggestions import board_kinds
 
 CAMERA_SUFFIXES = (".yaml", ".yml", ".xml", ".json", ".toml", ".cameramodel", ".txt", ".bin", ".ini", ".mat", ".m")
 
@@ -155,6 +155,7 @@ class GivenCamera(OptionsRecord):
 
     camera_matrix: fx, fy, cx, cy, pixels; None for a file. distortion: OpenCV's coefficients. size: (width, height) of
     the images, None for that of the first one. model: the lens model of four coefficients, which may be a fisheye's.
+    crop (width, height, x, y), binning, scale_to: which part of its images others are, in this order.
     """
 
     camera_matrix: Annotated[
@@ -186,6 +187,33 @@ class GivenCamera(OptionsRecord):
             "Lens model of four coefficients, if the file does not state it: fisheye, or opencv4 for k1,k2,p1,p2.",
             metavar="NAME",
             group=INPUT,
+        ),
+    ] = None
+    crop: Annotated[
+        tuple[int, int, int, int] | None,
+        Option(
+            "The images are this part of those that the camera is for: its size and its top-left pixel.",
+            metavar="WxH+X+Y",
+            group=INPUT,
+            type=CROP,
+        ),
+    ] = None
+    binning: Annotated[
+        int | None,
+        Option(
+            "So many pixels a side of the camera's images, after --crop, are one of these.",
+            metavar="N",
+            group=INPUT,
+            least=1,
+        ),
+    ] = None
+    scale_to: Annotated[
+        tuple[int, int] | None,
+        Option(
+            "Size that the camera's images, after --crop and --binning, were resized to.",
+            metavar="WxH",
+            group=INPUT,
+            type=SIZE,
         ),
     ] = None
 
@@ -291,53 +319,6 @@ class InspectOptions(OptionsRecord):
 
         path, name = split_address(self.file)
         return path, self.camera or name
-
-
-@dataclass(frozen=True)
-class ConvertFileOptions(OptionsRecord):
-    """A camera file of any format (FILE or FILE#NAME), where it goes, and the format it gets; None as suffixes say.
-
-    second: the other file of a pair that is written as two. given: what the file does not say. max_error_px: how far
-    off a lens may be that the format does not have, pixels; None: it has to be exact.
-    """
-
-    source: Annotated[
-        str, Argument("Camera file of camcal or another program, or FILE#NAME for one camera of it.", metavar="IN")
-    ]
-    outputs: Annotated[
-        tuple[Path, ...],
-        Argument(
-            "The files to write; a folder for a pair in ROS's format, or a rig in mrcal's.",
-            metavar="OUT…",
-            group=OUTPUT,
-            recorded=False,
-            written=Written(CAMERA_SUFFIXES, folder=True, stdout=True),
-        ),
-    ]
-    to: Annotated[str | None, Option(camera_formats, metavar="FORMAT", group=OUTPUT, suggested=format_names)] = None
-    second: Annotated[
-        Path | None,
-        Option(
-            "Second file: the other camera's of ROS or mrcal, extrinsics.yml of OpenCV, rigs.txt of COLMAP.",
-            metavar="FILE",
-            group=INPUT,
-            names="--with",
-        ),
-    ] = None
-    max_error_px: Annotated[
-        float | None,
-        Option(
-            "Where the format does not have the lens model: write the nearest one it has, if it is off by no more than "
-            "this anywhere in the image. By default lenses are exact or refused.",
-            metavar="PX",
-            group=OUTPUT,
-            names="--max-error",
-            least=0,
-        ),
-    ] = None
-    given: Annotated[GivenCamera, Without(("camera_matrix", "distortion"))] = field(default_factory=GivenCamera)
-    camera: CameraName = None
-    overwrite: Overwrite = False
 
 
 @dataclass(frozen=True)

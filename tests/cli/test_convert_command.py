@@ -157,3 +157,19 @@ def test_transforms_of_a_camchain_are_frames(run, tmp_path, rig):
     assert code == 0
     assert json.loads(out)["schema"] == "camcal/transform-chain/1"
     assert "0.12" in out
+
+
+def test_commands_take_a_part_of_the_image(run, tmp_path):
+    cameras.write(tmp_path / "a.xml", CameraFile({"camera": CameraEntry(LENS)}), cameras.FORMATS["opencv"])
+    code, _, err = run("convert", tmp_path / "a.xml", tmp_path / "b.yaml", "--crop", "600x400+20+30", "--binning", "2")
+    assert (code, err) == (0, "")
+    found = cameras.read_camera(tmp_path / "b.yaml")
+    assert found.image_size == (300, 200)
+    assert found.value("cx") == pytest.approx((321.5 - 20 + 0.5) / 2 - 0.5)
+    code, _, err = run("convert", tmp_path / "a.xml", tmp_path / "c.yaml", "--scale-to", "1280x960")
+    assert code == 0
+    assert cameras.read_camera(tmp_path / "c.yaml").value("fx") == pytest.approx(2 * 512.0)
+    for wrong, said in (("640x480", "written as WxH+X+Y"), ("800x400+0+0", "not within the image")):
+        code, _, err = run("convert", tmp_path / "a.xml", tmp_path / "d.yaml", "--crop", wrong)
+        assert code == 2
+        assert said in err

@@ -43,6 +43,7 @@ RUNS = {
     "report": "report pair.yaml -o report.html",
     "rerun": "rerun again.html -o again",
     "plot": "plot path.tum -o plotted",
+    "check": "check rig.yaml#camera_1 seen.csv",
     "diff": "diff pair.yaml#left pair.yaml#right",
     "advise": "advise seen.csv -o advised.png",
     "convert": "convert pair.yaml converted.yml --to opencv",

@@ -243,6 +243,30 @@ def test_a_frame_of_another_packing_is_refused_with_the_one_that_fits(tmp_path, 
         read_headerless(path, layout(read_as, (160, 96)))
 
 
+@pytest.mark.parametrize("read_as", PACKED_12)
+@pytest.mark.parametrize("written_as", PACKED_12)
+@pytest.mark.parametrize("bits", [8, 10])
+def test_samples_of_fewer_bits_than_their_file_has_tell_its_packing_by_the_bits_that_are_zero(
+    tmp_path, written_as, read_as, bits
+):
+    """Of a smooth scene without noise, pixels that are mixed up are alike all the same."""
+    values = scene(bits, noise=0.5) << (12 - bits)
+    path = written(tmp_path, pack(values, pixel_format_named(written_as)))
+    if read_as == written_as:
+        np.testing.assert_array_equal(read_headerless(path, layout(read_as, (160, 96)))[0], values)
+    else:
+        with pytest.raises(InvalidInput, match=rf"--format {pixel_format_named(written_as).name} fits"):
+            read_headerless(path, layout(read_as, (160, 96)))
+
+
+@pytest.mark.parametrize("written_as", PACKED_12)
+@pytest.mark.parametrize("largest", [3, 15, 16, 255, 511])
+def test_dark_frames_are_read_though_their_highest_bits_are_zero(tmp_path, written_as, largest):
+    values = (scene(noise=8.0) / 4095 * largest).astype(np.uint16)
+    path = written(tmp_path, pack(values, pixel_format_named(written_as)))
+    np.testing.assert_array_equal(read_headerless(path, layout(written_as, (160, 96)))[0], values)
+
+
 def test_samples_of_sixteen_bits_in_the_other_byte_order_are_refused(tmp_path):
     path = written(tmp_path, pack(scene(16, noise=30.0), pixel_format_named("BayerRG16"), endian="big"))
     with pytest.raises(InvalidInput, match="unlike each other; --endian big fits"):

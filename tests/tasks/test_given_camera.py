@@ -122,10 +122,12 @@ def test_a_rectified_pair_takes_a_camera_matrix_in_place_of_single_numbers():
 
 
 def test_the_command_line_says_all_of_it():
-    words = command_line("pnp", PnpOptions("a.png", GivenCamera(MATRIX, DISTORTION, SIZE, "opencv4")))
+    whole = GivenCamera(MATRIX, DISTORTION, SIZE, "opencv4", (64, 48, 3, 4), 2, (16, 12))
+    words = command_line("pnp", PnpOptions("a.png", whole))
     assert " ".join(words) == (
-        "pnp a.png --camera-matrix 90,90.5,64,47 --distortion -0.1,0.01,0.001,0 --size 128x96 --model opencv4"
+        "pnp a.png --camera-matrix 90,90.5,64,47 --distortion -0.1,0.01,0.001,0 --size 128x96 --model opencv4 "
+        "--crop 64x48+3+4 --binning 2 --scale-to 16x12"
     )
     for each in declared(GivenCamera):
-        value = each.of(GivenCamera(MATRIX, DISTORTION, SIZE, "opencv4"))
+        value = each.of(whole)
         assert each.read(each.written(value)) == value

@@ -144,7 +144,7 @@ def estimate_rig(
     problem: RigProblem,
     state: RigState,
     additional: AdditionalParameters,
-    known: Sequence[KnownNoise],
+    known: Sequence[KnownNoise | None],
     board: Mapping[str, Scale],
     *,
     motion: bool = False,
@@ -152,8 +152,8 @@ def estimate_rig(
 ) -> RigEstimate:
     """Return the estimate that passes lead to from a state near it.
 
-    known: the noise of each camera. board: scales of the board's shape. brief: with few passes. Raises SingularError
-    where the data leave parameters undetermined.
+    known: the noise of each camera, None where it is yet to be learned. board: scales of the board's shape. brief: with
+    few passes. Raises SingularError where the data leave parameters undetermined.
     """
     return _RigPasses(problem, state, additional, known=known, board=board, motion=motion, brief=brief).run()
 
@@ -175,7 +175,7 @@ class _RigPasses(Alternation):
         problem: RigProblem,
         state: RigState,
         additional: AdditionalParameters,
-        known: Sequence[KnownNoise],
+        known: Sequence[KnownNoise | None],
         board: Mapping[str, Scale],
         *,
         motion: bool,
@@ -198,7 +198,7 @@ class _RigPasses(Alternation):
         sigmas = [part.noise.sigma for part in self.parts]
         self.effect_scales = self.effects.start(self.problem.count, sigmas, max(self.problem.board.extent))
         coefficients = np.zeros((self.problem.count, len(self.effects.effect)))
-        self.begin(additional, fresh=False, brief=brief)
+        self.begin(additional, fresh=None in known, brief=brief)
         self._go_to(self._place(state, coefficients))
 
     def point_count(self) -> int:

@@ -31,6 +31,7 @@ _MOST = 40  # runs that are solved in one round
 _PER_FRAME = 0.2  # of χ²: shorter runs are cheaper and come first
 _LARGEST = 8.0  # times the frames of the track that they may have together
 _HELD = 1e4  # times what is known of a state at the end of a stretch
+_SIDE = np.radians(20.0)  # turned by more, an object shows another side
 _MAX_ALTERNATIVE = 16.0  # Δ of rivals that are reported: a weight of 3e-4
 
 
@@ -76,9 +77,18 @@ def searched(found: NoiseFit, other: NoiseFit | None, flat: ObjectPlane | None) 
 
 
 def _rival(found: NoiseFit, frames: Array, difference: float) -> tuple[AlternativeTrack, ...]:
-    """Return the course of another pose at some frames, of -2 ln evidence larger by a difference, if it is a rival."""
-    difference = max(difference, 0.0) / found.track.chains.frames.overstated
-    if difference > _MAX_ALTERNATIVE or not len(frames):
+    """Return the course of another pose at some frames, of -2 ln evidence larger by a difference, if it is a rival.
+
+    Frames that show the object from one side have one error of the likelihood in common, however many they are. So the
+    difference has the variance 4 Δ of noise, and n times as much by n frames of each side that they show it from.
+    """
+    if not len(frames):
+        return ()
+    normals = found.track.states.rotations[frames][:, :, 2]
+    turned = np.arccos(np.clip(np.sum(normals[1:] * normals[:-1], axis=1), -1.0, 1.0)).sum()
+    alike = len(frames) / (1 + turned / _SIDE)
+    difference = max(difference, 0.0) / (1 + found.track.chains.frames.repeated * alike)
+    if difference > _MAX_ALTERNATIVE:
         return ()
     return (AlternativeTrack(frames, float(np.exp(-difference / 2))),)
 

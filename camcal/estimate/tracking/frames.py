@@ -42,15 +42,16 @@ class FrameCosts(ABC):
 
     there: (N, P) the parts that frames have. floors: (N, P) likelihood of a wrong part over that of a perfect one.
     coordinates: the numbers that a part measures. divided: the powers of a factor on their noise that fields are
-    divided by. overstated: by how much -2 ln of the evidence is too large, 1 where the likelihood is that of the
-    measurement. overstated_ahead: the same of hypotheses that know some frames only, by the noise of a first pass.
+    divided by. repeated: the error of a frame's -2 ln likelihood that others which show the same have too, over what
+    noise does to it; 0 where the likelihood is that of the measurement. overstated_ahead: by how much -2 ln of the
+    evidence is too large for hypotheses that know some frames only, by the noise of a first pass.
     """
 
     there: Array
     floors: Array
     coordinates: ClassVar[int]
     divided: ClassVar[dict[str, int]]
-    overstated: ClassVar[float] = 1.0
+    repeated: ClassVar[float] = 0.0
     overstated_ahead: ClassVar[float] = 2.0  # docs/mathematics.md
 
     @abstractmethod
@@ -199,9 +200,8 @@ class PoseFrames(FrameCosts):
     gates: Array
     coordinates: ClassVar[int] = 6
     divided: ClassVar[dict[str, int]] = {"information": 2, "penalties": 2}
-    # Near the frontal view a normal density is not the likelihood, and neighbouring frames have the same error of it:
-    # so many frames count as one (docs/mathematics.md).
-    overstated: ClassVar[float] = 8.0
+    # Near the frontal view a normal density is not the likelihood (docs/mathematics.md).
+    repeated: ClassVar[float] = 0.2
     overstated_ahead: ClassVar[float] = 4.0
 
     @classmethod

@@ -14,6 +14,7 @@ from camcal.cameras.model import Camera
 from camcal.cameras.validity import ImageCircle, rim
 from camcal.messages import counted
 from camcal.quality.camera_comparison import CameraComparison
+from camcal.quality.camera_drift import LensDrift
 from camcal.quality.projection_uncertainty import ProjectionUncertainty
 from camcal.report.figures.figure import COLOUR_MAP, Plot, Theme, panel_height
 
@@ -72,44 +73,82 @@ def _draw_uncertainty(axes: Axes, uncertainty: ProjectionUncertainty, theme: The
 
 def camera_difference(found: CameraComparison) -> Plot:
     """Return the map of the difference of two cameras, RMS over the distances, and its directions at the first."""
-    size = round(float(found.u[-1])) + 1, round(float(found.v[-1])) + 1
-    shape = len(found.v), len(found.u)
-    lengths = np.ma.masked_invalid(np.sqrt(np.mean(found.lengths**2, axis=0)).reshape(shape))
-    pixels = np.stack(np.meshgrid(found.u, found.v), axis=-1).reshape(-1, 2)
-    drawn = np.isfinite(found.difference[0]).all(axis=1) & (np.indices(shape) % 2 == 1).all(axis=0).ravel()
-    factor = magnification(found.lengths[0][drawn], size[0])
     figures = [found.figures(index) for index in range(len(found.distances))]
     worst = max(each["compared_worst_px"] or 0.0 for each in figures)
     rms = float(np.sqrt(np.mean([(each["compared_rms_px"] or 0.0) ** 2 for each in figures])))
-    sigmas = np.ma.masked_invalid(np.sqrt(np.mean(found.sigmas**2, axis=0)).reshape(shape))
-    contour = sigmas.count() and sigmas.min() < _SIGMAS < sigmas.max()
-    said = f"{rms:.2g} px RMS, at most {worst:.2g} px where both cameras are known"
+    return _vector_map(
+        "camera_difference",
+        (
+            "Difference of two cameras",
+            "Difference of the projections",
+            "difference",
+            "from the first camera to the second",
+        ),
+        f"{rms:.2g} px RMS, at most {worst:.2g} px where both cameras are known",
+        (found.u, found.v),
+        np.sqrt(np.mean(found.lengths**2, axis=0)),
+        found.difference[0],
+        found.compared,
+        np.sqrt(np.mean(found.sigmas**2, axis=0)),
+    )
+
+
+def lens_drift(found: LensDrift) -> Plot:
+    """Return the map of the displacement of projections since a calibration."""
+    rms, lengths = found.rms_px, np.linalg.norm(found.moved, axis=1)
+    return _vector_map(
+        "lens_drift",
+        ("Drift since the calibration", "Displacement of the projections since the calibration", "drift", "from then"),
+        f"{rms.value:.2g} ± {rms.std:.1g} px RMS, at most {found.worst_px.value:.2g} px where the calibration holds",
+        (found.u, found.v),
+        lengths,
+        found.moved,
+        found.inside,
+        lengths / np.maximum(found.std, 1e-12),
+    )
+
+
+def _vector_map(
+    name: str,
+    words: tuple[str, str, str, str],
+    said: str,
+    grid: tuple[Array, Array],
+    lengths: Array,
+    vectors: Array,
+    inside: Array,
+    sigmas: Array,
+) -> Plot:
+    """Return the map of lengths (N,) with some of the vectors (N, 2), a dashed line around the pixels inside (N,), and
+    another one around less than some standard deviations, sigmas (N,).
+
+    words: the title, what is shown, in one word, and which way its arrows are.
+    """
+    (u, v), (title, shown, short, arrows) = grid, words
+    size, shape = (round(float(u[-1])) + 1, round(float(v[-1])) + 1), (len(v), len(u))
+    values, levels = (np.ma.masked_invalid(each.reshape(shape)) for each in (lengths, sigmas))
+    pixels = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
+    drawn = np.isfinite(vectors).all(axis=1) & (np.indices(shape) % 2 == 1).all(axis=0).ravel()
+    factor = magnification(np.linalg.norm(vectors[drawn], axis=1), size[0])
+    contour = levels.count() and levels.min() < _SIGMAS < levels.max()
 
     def draw(figure: FigureBase, theme: Theme) -> None:
         axes = _image_axes(figure, size)
-        mesh = axes.pcolormesh(
-            found.u,
-            found.v,
-            lengths,
-            norm=scale_of(lengths.compressed()),
-            cmap=COLOUR_MAP,
-            shading="gouraud",
-            rasterized=True,
-        )
-        colour_bar(axes, mesh, "difference, px")
-        _draw_vectors(axes, pixels[drawn], factor * found.difference[0][drawn], theme.series[1], 0.8)
-        for values, level, style in ((found.compared.reshape(shape).astype(float), 0.5, "--"), (sigmas, _SIGMAS, "-")):
+        scale = scale_of(values.compressed())
+        mesh = axes.pcolormesh(u, v, values, norm=scale, cmap=COLOUR_MAP, shading="gouraud", rasterized=True)
+        colour_bar(axes, mesh, f"{short}, px")
+        _draw_vectors(axes, pixels[drawn], factor * vectors[drawn], theme.series[1], 0.8)
+        for levelled, level, style in ((inside.reshape(shape).astype(float), 0.5, "--"), (levels, _SIGMAS, "-")):
             if style == "--" or contour:
-                axes.contour(found.u, found.v, values, levels=[level], colors="white", linestyles=style, linewidths=1.4)
+                axes.contour(u, v, levelled, levels=[level], colors="white", linestyles=style, linewidths=1.4)
         axes.set_facecolor(theme.faint)
         axes.set_title(f"arrows magnified {factor:g} x", loc="right")
 
     return Plot(
-        "camera_difference",
-        "Difference of two cameras",
-        f"Difference of the projections, {said} (inside the dashed line); arrows from the first camera to the second, "
-        f"magnified {factor:g} x." + (f" White line: {_SIGMAS:g} standard deviations." if contour else ""),
-        f"Map of the image coloured by the difference of two cameras, {said}.",
+        name,
+        title,
+        f"{shown}, {said} (inside the dashed line); arrows {arrows}, magnified {factor:g} x."
+        + (f" White line: {_SIGMAS:g} standard deviations." if contour else ""),
+        f"Map of the image coloured by the {title[0].lower()}{title[1:]}, {said}.",
         draw,
         panel_height(size),
         dense=True,

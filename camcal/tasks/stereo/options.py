@@ -74,7 +74,9 @@ class GeometryOptions(OptionsRecord):
     """
 
     camera: CameraName = None
-    given: Annotated[GivenCamera, Without(("model",))] = field(default_factory=GivenCamera)
+    given: Annotated[GivenCamera, Without(("model", "crop", "binning", "scale_to"))] = field(
+        default_factory=GivenCamera
+    )
     fx: Annotated[float | None, Option("Focal length.", metavar="PIXELS", group=CAMERA)] = None
     fy: Annotated[float | None, Option("Focal length along y; by default fx.", metavar="PIXELS", group=CAMERA)] = None
     cx: Annotated[float | None, Option("Principal point of the left image, x.", metavar="PIXELS", group=CAMERA)] = None

@@ -54,7 +54,9 @@ class RectifyOptions(OptionsRecord):
             names="--with",
         ),
     ] = None
-    given: Annotated[GivenCamera, Without(("camera_matrix", "distortion", "size"))] = field(default_factory=GivenCamera)
+    given: Annotated[GivenCamera, Without(("camera_matrix", "distortion", "size", "crop"))] = field(
+        default_factory=GivenCamera
+    )
     view: RectifiedViewOptions = field(default_factory=RectifiedViewOptions)
     interpolation: Annotated[
         str,

@@ -4,6 +4,7 @@ The scenes have the noise that is claimed; how well PnP claims it is not tested 
 """
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import motion
 import numpy as np
@@ -15,6 +16,7 @@ from camcal.cameras.model import Camera
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.estimate.pnp import estimate_poses
 from camcal.estimate.poses.records import Correspondences, PoseOptions
+from camcal.estimate.tracking import flips
 from camcal.estimate.tracking.measurements import GateOptions
 from camcal.estimate.tracking.process_noise import ProcessNoise
 from camcal.estimate.tracking.track import GAP, MEASURED, PREDICTED, REJECTED, TrackOptions, track_poses, track_views
@@ -112,6 +114,19 @@ def test_a_wrong_branch_of_poses_that_hardly_move_is_stated():
         assert track.consistency.verdict == "ambiguous" or track.p_wrong.mean() < 0.03
     assert np.mean(unsaid) < 0.05
     assert np.mean(said) > 0.3 * np.mean(wrong)
+
+
+def test_a_rival_of_many_frames_counts_more_where_they_show_the_object_from_one_side():
+    """A difference Δ of the evidence is one of noise, 4 Δ, and of an error that frames of one side share."""
+    for turned_deg, repeated, divisor in ((0.0, 0.2, 13.0), (180.0, 0.2, 2.2), (0.0, 0.0, 1.0)):
+        track = SimpleNamespace(
+            states=SimpleNamespace(
+                rotations=so3.exp(np.linspace(0, np.radians(turned_deg), 60)[:, None] * [1.0, 0, 0])
+            ),
+            chains=SimpleNamespace(frames=SimpleNamespace(repeated=repeated)),
+        )
+        (rival,) = flips._rival(SimpleNamespace(track=track), np.arange(60), 9.0)
+        assert rival.weight == pytest.approx(np.exp(-9.0 / (2 * divisor)))
 
 
 def test_poses_a_second_apart_are_no_wrong_ones_because_nothing_foretells_them():
