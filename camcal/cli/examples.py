@@ -103,19 +103,13 @@ _CALLS = {  # a comment with the purpose above each call, as in a shell
         convert camchain.yaml rig.yaml
     """,
     "inspect": """
-<<<<<<< HEAD
-        # What a camera file holds, with its verdict
-        inspect camera.yaml
-=======
         # One value of a camera file, for a script
         inspect camera.yaml --get cameras.camera.quality.rms_px
->>>>>>> main
         # How well it measures at 0.8 m: points, and an object of 100 mm
         inspect camera.yaml --at 0.8m --length 100mm
         # Size, pattern and exposure of a raw frame
         inspect IMG_0001.DNG
     """,
-<<<<<<< HEAD
     "advise": """
         # Which views to take next, with their picture
         advise camera.yaml -o next.png
@@ -123,7 +117,7 @@ _CALLS = {  # a comment with the purpose above each call, as in a shell
         advise corners.csv
         # Five views of one camera of a rig, for a program
         advise rig.yaml#left --views 5 --json
-=======
+    """,
     "check": """
         # Whether last month's calibration still holds
         check camera.yaml today/*.png
@@ -131,7 +125,6 @@ _CALLS = {  # a comment with the purpose above each call, as in a shell
         check rig.yaml left=today/left right=today/right --junit check.xml
         # By how much a camera has moved against a board that has not
         check camera.yaml now.png --reference installed.yaml
->>>>>>> main
     """,
     "diff": """
         # Whether two calibrations are of the same camera
