@@ -36,10 +36,10 @@ _SQUARE = 1.1  # of the sides of a board: whether it is upright cannot be seen o
 
 @dataclass(frozen=True, eq=False)
 class AdviseReport:
-    """What is known of the camera, and what further views would do; output: the picture."""
+    """What is known of the camera, and (found) what further views would do; output: the picture."""
 
     known: Known
-    advice: ViewAdvice
+    found: ViewAdvice
     output: Path | None = None
 
 
@@ -154,13 +154,13 @@ def _place(known: Known, view: SuggestedView) -> str:
 
 def rows(report: AdviseReport) -> Iterator[list[str]]:
     """Yield the rows of the table: the suggested views."""
-    for number, view in enumerate(report.advice.views, start=1):
+    for number, view in enumerate(report.found.views, start=1):
         yield [str(number), pose_words(report.known, view), f"{view.std_px:.3g}"]
 
 
 def lines(report: AdviseReport) -> Iterator[str]:
     """Yield what is said beside the table."""
-    advice = report.advice
+    advice = report.found
     if advice.spared:
         listed, share = ", ".join(map(_name, advice.spared)), 100 * advice.spared_share
         yield f"{counted(len(advice.spared), 'view')} may be left out ({share:.1f} % more uncertainty): {listed}"
@@ -174,7 +174,7 @@ def _name(image: str) -> str:
 
 def headline(report: AdviseReport) -> str:
     """Return the uncertainty as it is, in words."""
-    now, views = report.advice.std_px, report.advice.views
+    now, views = report.found.std_px, report.found.views
     after = views[-1].std_px
     return f"Projection uncertainty over the image (1 sigma, RMS): {now:.3g} px, after these views {after:.3g} px"
 
@@ -183,11 +183,11 @@ def document(report: AdviseReport) -> dict[str, Any]:
     """Return the report as plain data for --json."""
     board = report.known.surface.board
     return {
-        "uncertainty_px": report.advice.std_px,
+        "uncertainty_px": report.found.std_px,
         "unit": board.unit,
-        "views": [_view_data(report.known, view) for view in report.advice.views],
-        "spared": list(report.advice.spared),
-        "spared_increase": report.advice.spared_share,
+        "views": [_view_data(report.known, view) for view in report.found.views],
+        "spared": list(report.found.spared),
+        "spared_increase": report.found.spared_share,
         "output": report.output,
     }
 
