@@ -10,6 +10,7 @@ import re
 import sys
 import warnings
 from collections.abc import Iterator, MutableMapping, Sequence
+from contextlib import suppress
 from importlib import import_module
 from itertools import takewhile
 from typing import Annotated, Any, NamedTuple, NoReturn
@@ -191,6 +192,7 @@ class Boundary(CommandGroup):
             message += self.what_is_left(arguments)
         if code != EXIT_BUG:
             show.error(f"{in_one_line(where)}: {message}" if where else message)
+            _annotate([str(each) for each in getattr(error, "failures", ())] or [message])
         if code == InvalidInput.exit_code and ["camcal", *arguments] == (named := self.named_in(arguments)).split():
             calls = examples.calls(named.removeprefix("camcal "))
             show.examples([] if named in calls else calls)
@@ -227,6 +229,16 @@ class Boundary(CommandGroup):
             return "; repeat it to run the steps that are left"
         options = {each.name for each in getattr(command, "declared", ())}
         return "; repeat it with --resume to do only what is left" if "--resume" in options else ""
+
+
+def _annotate(errors: Sequence[str]) -> None:
+    """Print errors once more as annotations of GitHub, in its runners only: a page shows them beside the run."""
+    if os.environ.get("GITHUB_ACTIONS") != "true" or sys.stderr is None:
+        return
+    with suppress(OSError):
+        for each in errors:
+            text = each.replace("%", "%25").replace("\r", "%0D").replace("\n", "%0A")
+            print(f"::error title=camcal::{text}", file=sys.stderr)  # noqa: T201
 
 
 def _usage_error(error: typer.TyperException, command: str) -> InvalidInput:

@@ -94,6 +94,11 @@ class LensDrift(Drift):
         object.__setattr__(self, "std", readonly(self.std, (count,), "std"))
         object.__setattr__(self, "inside", readonly(self.inside, (count,), "inside", bool))
 
+    @property
+    def pixels(self) -> FloatArray:
+        """The pixels (N, 2) of the grid, row by row."""
+        return grid_pixels(self.u, self.v)
+
 
 @dataclass(frozen=True, eq=False)
 class PlaceDrift(Drift):

@@ -60,6 +60,15 @@ def factory(run):
         shutil.move("scene/images", Path("cameras") / name)
 
 
+def nightly(run):
+    photos(run)
+    calibrated = ("--board", BOARD, "--model", "opencv4", "--jobs", "1", "--quiet")
+    assert run("calibrate", "scene/images", *calibrated, "-o", "cameras/front.yaml")[0] == 0
+    photos(run, "--seed", "1", "--overwrite")
+    Path("tonight").mkdir()
+    shutil.move("scene/images", Path("tonight") / "front")
+
+
 SCENES = {
     "camera": (camera, ()),
     "bayer": (bayer, ()),
@@ -69,6 +78,7 @@ SCENES = {
     "marker": (marker, ("--set", "tags=DICT_4X4_50:40mm")),
     "fisheye": (fisheye, ()),
     "factory": (factory, ()),
+    "nightly": (nightly, ()),
 }
 
 

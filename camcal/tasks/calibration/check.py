@@ -96,11 +96,13 @@ def check(options: CheckOptions, progress: Progress = SILENT) -> CheckReport:
     board = options.board
     if board is None and file.board_shape is not None:
         board = file.board_shape.board
-    outputs = tuple(each for each in (options.junit, options.plot) if each is not None)
+    outputs = tuple(each for each in (options.junit, options.plot, options.report) if each is not None)
     claim(outputs)
+    if options.plot is not None and (len(entries) > 1 or options.reference is not None):
+        raise InvalidInput("--plot draws the drift of one lens: name one, as FILE#NAME, or give --report")
     if options.reference is not None:
         report = CheckReport(_check_mounts(options, options.reference, board, progress), outputs=outputs)
-        _write(report, options)
+        _write(report, options, known)
         return report
     if options.tags is not None:
         raise InvalidInput("--tags goes with --reference: a lens is checked by a board")
@@ -115,7 +117,7 @@ def check(options: CheckOptions, progress: Progress = SILENT) -> CheckReport:
         found |= _check_places(seen.rows, file, known, shape, found, options.most_px)
     report = CheckReport(found, seen.warnings, outputs)
     warn_of([Message("check_image", note, {}, each) for each, own in found.items() for note in own.notes], progress)
-    _write(report, options)
+    _write(report, options, known)
     return report
 
 
@@ -258,18 +260,22 @@ def _by_object(found: Poses) -> dict[str, list[tuple[Pose, FloatArray]]]:
     return result
 
 
-def _write(report: CheckReport, options: CheckOptions) -> None:
+def _write(report: CheckReport, options: CheckOptions, known: Mapping[str, CheckedCamera]) -> None:
     if options.junit is not None:
         files.write_text(options.junit, junit(report, options.camera))
-    if options.plot is None:
-        return
-    drawn = [(name, each.drift) for name, each in report.found.items() if isinstance(each.drift, LensDrift)]
-    if len(drawn) != 1:
-        raise InvalidInput(f"--plot draws the drift of one lens, and there are {len(drawn)}: name one, as FILE#NAME")
-    from camcal.report.figures.figure import encoded
-    from camcal.report.figures.image_plane import lens_drift as draw
+    if options.report is not None:
+        from camcal.report.page.check import check_page
+        from camcal.report.page.record import rendered
+        from camcal.tasks.reports.closing import made
 
-    files.write_bytes(options.plot, encoded(draw(drawn[0][1]), options.plot.suffix))
+        page = check_page(report.found, known, options.camera, report.verdict, made())
+        files.write_text(options.report, rendered(page))
+    drift = next(iter(report.found.values())).drift
+    if options.plot is not None and isinstance(drift, LensDrift):
+        from camcal.report.figures.figure import encoded
+        from camcal.report.figures.image_plane import lens_drift
+
+        files.write_bytes(options.plot, encoded(lens_drift(drift), options.plot.suffix))
 
 
 def rows(report: CheckReport) -> list[list[object]]:

@@ -19,7 +19,7 @@ from camcal.options import (
 )
 from camcal.raw.options import AS_IMAGES, ImageReadOptions
 from camcal.tasks.calibration.options import BEST_FRAMES, FrameOptions, ImageSize
-from camcal.tasks.options import BOARD_OPTION, FIGURES, Jobs, Overwrite, Recursive
+from camcal.tasks.options import BOARD_OPTION, FIGURES, PAGE, Jobs, Overwrite, Recursive
 from camcal.tasks.rigs.options import AUTO, MATCHES
 
 if TYPE_CHECKING:
@@ -118,5 +118,15 @@ class CheckOptions(OptionsRecord):
     plot: Annotated[
         Path | None,
         Option("Draw the map of the drift.", metavar="FILE", group=OUTPUT, recorded=False, written=FIGURES),
+    ] = None
+    report: Annotated[
+        Path | None,
+        Option(
+            "Also write a page with the verdict, and maps of what the calibration leaves open and of the drift.",
+            metavar="FILE",
+            group=OUTPUT,
+            recorded=False,
+            written=PAGE,
+        ),
     ] = None
     overwrite: Overwrite = False
