@@ -18,15 +18,15 @@ LINES = {
     "__main__": 6,
     "arrays": 42,
     "calibrate": 7709,
-    "cameras": 2216,
+    "cameras": 2240,
     "cli": 3633,
     "errors": 137,
     "estimate": 8714,
     "files": 398,
-    "formats": 12019,
+    "formats": 12043,
     "geometry": 963,
     "images": 1882,
-    "messages": 227,
+    "messages": 228,
     "opencv": 150,
     "optics": 311,
     "options": 392,
@@ -46,7 +46,7 @@ LINES = {
     "urls": 99,
 }
 PARTS = {"modules": 448, "records": 679, "records named in one module": 197, "short functions with one reference": 493}
-PASSED = {"modules": 149, "functions": 1126, "records": 127}  # from a table of detections to a camera file
+PASSED = {"modules": 149, "functions": 1129, "records": 128}  # from a table of detections to a camera file
 SHORT = 5  # lines of a function's body, which could as well stand where it is called
 
 
