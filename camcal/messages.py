@@ -108,6 +108,7 @@ CODES: Mapping[str, Mapping[str, str]] = {
         "assumed_no_distortion": "the file has no distortion coefficients",
         "swapped_cameras": "left and right camera files may be swapped",
         "inconsistent_projections": "the projection matrices of a pair do not match",
+        "doubtful_distortion_model": "a lens that is said to be plumb_bob has the numbers of a fisheye",
         "unplaced_camera": "a camera without transform to the others",
         "initial_calibration": "a camera of another program has its initial values, which are not adjusted yet",
         "stretched_images": "the lens of a file is that of stretched images",

@@ -12,6 +12,7 @@ from camcal.arrays import Array, BoolArray
 from camcal.cameras.model import Camera
 
 PER_EDGE = 16  # samples of each edge of the image: a corner and those towards the next one
+_INSIDE = 1e-6  # of a line: so far inside of where a lens folds it surely has a ray
 ROUNDS, _PARTS = 5, 16  # a segment across the image is divided in turns: to a millionth of it
 _HALF = 0.25  # px to either side of a pixel's centre: derivatives to 1e-6, and corners stay inside the image
 
@@ -79,7 +80,7 @@ def folds_inside(camera: Camera, circle: ImageCircle | None = None) -> Fold:
     """Return where the model stops being one-to-one on the way from the principal point to the image's border, or to
     its image circle.
     """
-    return rim(camera, circle=circle)[1]
+    return rim(camera, circle=circle, nearest_only=True)[1]
 
 
 def valid_block(camera: Camera, circle: ImageCircle | None = None) -> dict[str, float]:
@@ -127,28 +128,51 @@ def _openings(rays: Array) -> Array:
     return np.asarray(angles[:, 1] - angles[:, 0])
 
 
-def rim(camera: Camera, per_edge: int = PER_EDGE, circle: ImageCircle | None = None) -> tuple[Array, Fold]:
+def rim(
+    camera: Camera, per_edge: int = PER_EDGE, circle: ImageCircle | None = None, *, nearest_only: bool = False
+) -> tuple[Array, Fold]:
     """Return the farthest pixels (4 · per_edge, 2) with a ray on the way from the principal point to the border, or to
     the image circle where it ends before that.
 
-    The second is where the model folds on the way.
+    The second is where the model folds on the way. nearest_only: the farthest pixels are known roughly, but where it
+    folds nearest to the principal point.
     """
     border, centre = border_pixels(*camera.image_size, per_edge), np.array([camera.value("cx"), camera.value("cy")])
     border = border if circle is None else circle.clipped(centre, border)
-    folded = ~camera.unproject(border).valid
+    within = _radial_shares(camera, border - centre)
+    folded = ~camera.unproject(border).valid if within is None else within < 1
     reach = border[folded] - centre
     low, width = np.zeros((len(reach), 1)), 1.0
+    length = np.linalg.norm(reach, axis=1)
     shares = np.arange(1, _PARTS) / _PARTS
-    for _ in range(ROUNDS if len(reach) else 0):
-        tried = centre + (low + width * shares)[..., None] * reach[:, None]
-        valid = camera.unproject(tried.reshape(-1, 2)).valid.reshape(len(reach), -1)
+    if within is not None:
+        low = within[folded, None]
+    for _ in range(ROUNDS if len(reach) and within is None else 0):
+        # of lines that fold farther away than another one at most, the place does not matter
+        near = low[:, 0] * length <= ((low[:, 0] + width) * length).min() if nearest_only else length > 0
+        tried = centre + (low[near] + width * shares)[..., None] * reach[near][:, None]
+        valid = camera.unproject(tried.reshape(-1, 2)).valid.reshape(len(tried), -1)
         width /= _PARTS
-        low = low + width * np.cumprod(valid, axis=1).sum(axis=1, keepdims=True)
+        low[near] += width * np.cumprod(valid, axis=1).sum(axis=1, keepdims=True)
     farthest = border.copy()
     farthest[folded] = centre + low * reach
-    nearest = np.linalg.norm(low * reach, axis=1).min(initial=math.inf)
+    nearest = (low[:, 0] * length).min(initial=math.inf)
     corner = np.linalg.norm(border - centre, axis=1).max()
     return farthest, Fold(bool(folded.any()), float(nearest), float(corner))
+
+
+def _radial_shares(camera: Camera, reach: Array) -> Array | None:
+    """Return how much of lines (N, 2) from the principal point, px, a lens covers whose distortion is along the radius.
+
+    None for any other lens.
+    """
+    values = dict(zip(camera.model.parameter_names, camera.parameters.tolist(), strict=True))
+    if camera.model.is_view or "k1" not in values or any(values[name] for name in values if name[0] not in "fck"):
+        return None
+    focal = values["fx"], values["fy"]
+    largest = camera.model.domain(camera.parameters).max_radius_px / min(focal)
+    radii = np.hypot(*(reach / focal).T)
+    return np.asarray(np.where(radii < largest, 1.0, (1 - _INSIDE) * largest / np.maximum(radii, _INSIDE)))
 
 
 def border_pixels(width: int, height: int, per_edge: int = PER_EDGE) -> Array:

@@ -2,7 +2,6 @@
 
 import io
 import math
-import zipfile
 import zlib
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -129,7 +128,7 @@ _BAD_ARCHIVE = (
         TypeError,
         ValueError,
     ),
-    *(zipfile.BadZipFile, zlib.error),
+    zlib.error,
 )
 _PACKED = 100  # a compressed array has fewer times the bytes of its file, or is small
 _SMALL = 256 << 20  # bytes
@@ -169,22 +168,26 @@ def array_of(content: bytes) -> Array:
 
 def arrays_of(content: bytes) -> dict[str, Array]:
     """Return the arrays in the bytes of a .npz file by their names, read-only; raises ValueError if it is damaged."""
+    import zipfile  # here, since it takes as long to import as a camera file to read
+
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             members = [member for member in archive.infolist() if member.filename.endswith(".npy")]
             if sum(member.file_size for member in members) > max(_SMALL, _PACKED * len(content)):
                 raise ValueError("archive size exceeds its bytes")
             return {member.filename.removesuffix(".npy"): array_of(archive.read(member)) for member in members}
-    except _BAD_ARCHIVE as error:
+    except (zipfile.BadZipFile, *_BAD_ARCHIVE) as error:
         raise ValueError("a damaged NumPy archive") from error
 
 
 def names_in(content: bytes) -> list[str]:
     """Return the names of the arrays in the bytes of a .npz file, none if it is damaged."""
+    import zipfile
+
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             return [name.removesuffix(".npy") for name in archive.namelist()]
-    except _BAD_ARCHIVE:
+    except (zipfile.BadZipFile, *_BAD_ARCHIVE):
         return []
 
 

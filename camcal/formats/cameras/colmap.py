@@ -71,8 +71,8 @@ def read(sources: Sequence[Source], given: Given) -> CameraFile:
     """
     where = str(sources[0].path)
     rows = list(_binary_rows(sources[0]) if sources[0].binary or "\0" in sources[0].text else _lines(sources[0]))
-    if not rows:
-        raise InvalidInput("holds no cameras: give cameras.txt first, and this file with --with", where=where)
+    if not rows or sources[0].text.startswith("# Rig"):
+        raise InvalidInput("holds no cameras: give cameras.txt first, and rigs.txt with --with", where=where)
     names = {words[0]: f"{CAMERA}_{words[0]}" if len(rows) > 1 else CAMERA for _, words in rows}
     cameras = {names[words[0]]: _entry(where, line, words, given) for line, words in rows}
     if len(cameras) < len(rows):

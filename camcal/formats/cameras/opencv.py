@@ -109,7 +109,11 @@ def _lens(values: Values, matrix: str, coefficients: str | None, given: Given) -
     core = values.camera_matrix(matrix)
     numbers = np.zeros(0) if coefficients is None else values.numbers(coefficients)
     if "xi" in values:
-        raise values.wrong("xi", "is of OpenCV's omnidir, which is not among camcal's lens models")
+        raise values.wrong(
+            "xi",
+            "is of OpenCV's omnidir, which is not among camcal's lens models: calibrate with cv2.fisheye, or undistort "
+            "images with cv2.omnidir and give the matrix of the result",
+        )
     if coefficients is None:
         values.warn("assumed_no_distortion", matrix, "no distortion coefficients: zero distortion assumed")
     model = _model(values, coefficients or matrix, len(numbers), given)

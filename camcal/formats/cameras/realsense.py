@@ -19,11 +19,11 @@ from camcal.formats.cameras.syntax import json_text, json_values
 from camcal.formats.cameras.values import Values
 
 LENSES = Lenses("""
-    none pinhole fx fy ppx=cx ppy=cy a=0? b=0? c=0? d=0? e=0?
+    none pinhole fx fy ppx=cx ppy=cy coeff=0? coeff=0? coeff=0? coeff=0? coeff=0?
     brown_conrady opencv5 fx fy ppx=cx ppy=cy k1? k2? p1? p2? k3?
-    kannala_brandt4 kannala_brandt4 fx fy ppx=cx ppy=cy k1 k2 k3 k4 e=0?
-    inverse_brown_conrady pinhole fx fy ppx=cx ppy=cy a=0? b=0? c=0? d=0? e=0?
-    modified_brown_conrady pinhole fx fy ppx=cx ppy=cy a=0? b=0? c=0? d=0? e=0?
+    kannala_brandt4 kannala_brandt4 fx fy ppx=cx ppy=cy k1 k2 k3 k4 coeff=0?
+    inverse_brown_conrady pinhole fx fy ppx=cx ppy=cy coeff=0? coeff=0? coeff=0? coeff=0? coeff=0?
+    modified_brown_conrady pinhole fx fy ppx=cx ppy=cy coeff=0? coeff=0? coeff=0? coeff=0? coeff=0?
     ftheta ftheta fx fy ppx=cx ppy=cy w
 """)  # fmt: skip
 _NUMBERED = ("none", "modified_brown_conrady", "inverse_brown_conrady", "ftheta", "brown_conrady", "kannala_brandt4")

@@ -17,6 +17,8 @@ import numpy as np
 
 from camcal import files
 from camcal.arrays import Array
+from camcal.cameras.catalogue import MODELS as LENSES
+from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.errors import InvalidInput
 from camcal.formats import emit
@@ -40,6 +42,7 @@ _BY_COUNT = {
 _OTHER_NAMES = {"": PLUMB_BOB, "fisheye": EQUIDISTANT}
 _SAME = 1e-9  # m and pixels, to which R and P that were read still say where the right camera stands
 
+_WIDE, _NO_BARREL = 1.0, 0.98  # half the image over fx, and the radial factor there, from which a lens is doubted
 _WIDEST = np.tan(np.radians(80))  # rays farther from the axis do not count in where the view's centre lies
 _SAMPLES = 9  # a side of the image
 _BESIDE = 1e-3  # of the baseline, which no pair that looks along it reaches
@@ -101,9 +104,12 @@ def entry_of(values: Values, given: Given) -> CameraEntry:
     size = values.side("image_width"), values.side("image_height")
     core = values.camera_matrix("camera_matrix")
     count = len(values.numbers("distortion_coefficients")) if "distortion_coefficients" in values else 0
-    model = _model(values, count)
+    model = _model(values, count, given)
     coefficients = values.numbers("distortion_coefficients") if count else np.zeros(0)
+    coefficients = coefficients[: len(LENSES[model].parameter_names) - 4]
     camera = camera_of(model, given.size(size, values.document.where), core, coefficients)
+    if model in ("opencv4", "opencv5") and given.model is None:
+        _doubt_plumb_bob(values, camera)
     found = _rectified(values)
     if found is None or found.leaves(camera):
         return CameraEntry(camera)
@@ -111,8 +117,22 @@ def entry_of(values: Values, given: Given) -> CameraEntry:
     return CameraEntry(camera, extra={VENDOR_KEY: kept})
 
 
-def _model(values: Values, count: int) -> str:
+def _doubt_plumb_bob(values: Values, camera: Camera) -> None:
+    """Warn of a wide lens without barrel distortion: some drivers give a fisheye's coefficients this name."""
+    fx, _, _, _, k1, k2, *others = camera.parameters.tolist()
+    edge = camera.image_size[0] / 2 / fx
+    if edge > _WIDE and (k1 or k2) and not any(others[2:]) and 1 + k1 * edge**2 + k2 * edge**4 > _NO_BARREL:
+        what = "a lens of more than 90 degrees without barrel distortion"
+        text = f"{what}: if it is a fisheye (equidistant), as some drivers call it {PLUMB_BOB}, give --model fisheye"
+        values.warn("doubtful_distortion_model", "distortion_model", text)
+
+
+def _model(values: Values, count: int, given: Given) -> str:
     told = values.text("distortion_model")
+    if given.model is not None and model_named(given.model).name == "kannala_brandt4" and count in (4, 5):
+        if count == 5 and values.numbers("distortion_coefficients")[4]:
+            raise values.wrong("distortion_coefficients", "5 coefficients; a fisheye has 4")
+        return "kannala_brandt4"
     if not told and count:
         text = f"no distortion_model: {PLUMB_BOB if count < 8 else RATIONAL} assumed"
         values.warn("assumed_distortion_model", "distortion_coefficients", text)

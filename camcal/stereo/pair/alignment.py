@@ -39,7 +39,7 @@ _SHARP = 0.6  # px; corners that are found scatter by 0.1 to 0.3 px, those that 
 _SEED = 1
 _GUESSES = 500  # of three matches; if only a third of all is right, eighteen guesses are
 _NEAR = 1.0  # px features are searched for in, about a guess; matches that are right scatter by 0.1 to 0.4 px
-_ROUNDS = 20
+_ROUNDS, _SETTLED = 20, 1e-3  # rounds, and the change of a weight that ends them
 _BREAK = 4.685  # deviations beyond which Tukey's biweight takes a match for wrong; the usual choice for normal errors
 _NORMAL = 1.4826  # standard deviation over median absolute deviation
 _LEAST_SCATTER = 1e-3  # px; of images made by shifting one of them
@@ -47,7 +47,7 @@ _LEAST_SPREAD = 1.0  # px by which disparities must vary to tell how rows depend
 
 # corners that are followed
 _TRACKED = 5e5  # pixels of the image they are followed in: of a larger one it is reduced to that
-_MOST = 400
+_MOST, _FEW = 400, 150  # of such an image, in proportion of a smaller one, but not fewer
 _QUALITY = 0.01  # of the best corner's
 _APART = 5.0  # px
 _BLOCK = 5
@@ -246,10 +246,11 @@ def _agreement(plane: Array, dy: Array, near: float) -> Array:
         return np.zeros(len(dy))
     weights: Array = (np.abs(dy - plane @ _most_agreed(plane, dy, near)) < near).astype(float)
     for _ in range(_ROUNDS):
-        off = np.abs(dy - plane @ _solve(plane, dy, weights)[0])
+        weighted = weights[:, None] * plane
+        off = np.abs(dy - plane @ (np.linalg.pinv(plane.T @ weighted) @ (weighted.T @ dy)))
         scatter = float(np.clip(_NORMAL * np.median(off[weights > 0]), _LEAST_SCATTER, near))
         before, weights = weights, np.maximum(1 - (off / (_BREAK * scatter)) ** 2, 0) ** 2
-        if np.abs(weights - before).max() < 1e-6:
+        if np.abs(weights - before).max() < _SETTLED:
             break
     return weights
 
@@ -305,7 +306,7 @@ def track_corners(left: Array, right: Array, coarse: Array | None = None) -> Mat
     size = left.shape[1], left.shape[0]
     scale = min(1.0, sqrt(_TRACKED / left.size))
     first, second = (image if scale == 1 else resized(image, scale) for image in (left, right))
-    corners = _corners(first, np.isfinite(coarse))
+    corners = _corners(first, np.isfinite(coarse), max(_FEW, round(_MOST * first.size / _TRACKED)))
     guesses = corners - np.column_stack([_look_up(coarse, corners, first.shape) * scale, np.zeros(len(corners))])
     found, kept = _follow(first, second, corners, guesses.astype(np.float32))
     astray = np.hypot(*(found - guesses).T)
@@ -321,10 +322,10 @@ def track_corners(left: Array, right: Array, coarse: Array | None = None) -> Mat
     )
 
 
-def _corners(gray: Array, known: Array) -> Array:
+def _corners(gray: Array, known: Array, most: int) -> Array:
     """Return the corners (N, 2) float32 of an image where its reduced mask is set, pixels."""
     mask = cv2.resize(known.astype(np.uint8), gray.shape[::-1], interpolation=cv2.INTER_NEAREST)
-    corners = cv2.goodFeaturesToTrack(gray, _MOST, _QUALITY, _APART, mask=mask, blockSize=_BLOCK)
+    corners = cv2.goodFeaturesToTrack(gray, most, _QUALITY, _APART, mask=mask, blockSize=_BLOCK)
     return np.zeros((0, 2), np.float32) if corners is None else np.asarray(corners, np.float32).reshape(-1, 2)
 
 

@@ -13,7 +13,6 @@ from camcal.quality.rig_geometry import DISPARITY_PX, PairErrors, pair_errors
 from camcal.records import Brief
 from camcal.report.table import Column
 from camcal.run.paths import split_address
-from camcal.tasks.calibration.diff import calibration_of
 from camcal.tasks.rigs.inspect_rig import RigInspection, inspect_rig
 
 COLUMNS = (
@@ -65,6 +64,8 @@ def errors_of_file(
     file: CameraFile, rig: RigInspection | None, distance: float, length: float | None, camera: str | None
 ) -> RangeErrors:
     """Return what `errors_at_range` does of the content of a file; rig: what its cameras make together."""
+    from camcal.tasks.calibration.diff import calibration_of  # `inspect` of a camera does not wait for it
+
     names = list(file.cameras) if camera is None else [camera]
     own = {name: calibration_of(f"camera {name!r}", file.cameras[name], file) for name in names}
     found = {name: camera_errors(own[name], file.cameras[name].boards, distance, length) for name in names}

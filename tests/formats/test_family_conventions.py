@@ -1,0 +1,306 @@
+"""What families mean by their numbers, against their own formulas: pixel origins, swapped coefficients, directions."""
+
+import json
+import re
+import struct
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+
+from camcal.cameras.catalogue import MODELS
+from camcal.cameras.model import Camera
+from camcal.errors import InvalidInput
+from camcal.formats import cameras
+from camcal.formats.camera_file import CameraEntry, CameraFile, Transform, pose_between
+from camcal.formats.cameras import FORMATS
+from camcal.formats.cameras.record import Given
+from camcal.geometry import rotation as so3
+from camcal.geometry.pose import Pose
+
+SIZE = (640, 480)
+BROWN = Camera(MODELS["opencv5"], SIZE, [500.0, 501.0, 322.5, 238.25, -0.2, 0.05, 1e-3, -2e-3, 0.01])
+FISHEYE = Camera(MODELS["kannala_brandt4"], SIZE, [300.0, 301.0, 322.5, 238.25, 0.02, -0.003, 0.001, -0.0002])
+POINTS = np.column_stack([np.random.default_rng(2).uniform(-0.6, 0.6, (50, 2)), np.ones(50)])
+PLACE = Pose.from_vector(np.array([0.3, -0.2, 0.1]), np.array([-0.12, 0.01, 0.02]))
+
+
+def written(tmp_path, camera, name, file="file"):
+    form = FORMATS[name]
+    path = tmp_path / f"{file}{form.suffixes[0]}"
+    cameras.write(path, CameraFile({"camera": CameraEntry(camera)}), form)
+    return path
+
+
+def read(tmp_path, text, name="file.txt", **given):
+    path = tmp_path / name
+    path.write_text(text, encoding="utf-8")
+    return cameras.read(path, given=Given(**given))
+
+
+def test_metashape_as_its_manual_has_it(tmp_path):
+    text = written(tmp_path, BROWN, "metashape").read_text()
+    own = {key: float(value) for key, value in re.findall(r"<(\w+)>([-\d.e]+)</", text)}
+    x, y = POINTS[:, 0], POINTS[:, 1]
+    r2 = x * x + y * y
+    radial = 1 + own["k1"] * r2 + own["k2"] * r2**2 + own["k3"] * r2**3
+    x_d = x * radial + own["p1"] * (r2 + 2 * x * x) + 2 * own["p2"] * x * y
+    y_d = y * radial + own["p2"] * (r2 + 2 * y * y) + 2 * own["p1"] * x * y
+    u = own["width"] / 2 + own["cx"] + x_d * (own["f"] + own["b1"])
+    v = own["height"] / 2 + own["cy"] + y_d * own["f"]
+    assert np.abs(np.column_stack([u, v]) - 0.5 - BROWN.project(POINTS).pixels).max() < 1e-9
+
+
+SENSOR = """<document version="2.0.0"><chunk><sensors><sensor id="0" label="M3M (12mm)" type="frame">
+<resolution width="640" height="480"/>
+<calibration type="frame" class="initial"><resolution width="640" height="480"/><f>400</f></calibration>
+<calibration type="frame" class="adjusted"><resolution width="640" height="480"/><f>500</f><cx>1.5</cx><b1>2</b1>
+<k1>0.1</k1><p1>0.001</p1></calibration>
+<covariance><params>f cx b1 p1</params><coeffs>4 0 0 0 0 1 0 0 0 0 9 0 0 0 0 1e-6</coeffs></covariance>
+</sensor></sensors></chunk></document>
+"""
+
+
+def test_the_adjusted_calibration_of_metashape_is_read_with_its_covariance(tmp_path):
+    file = read(tmp_path, SENSOR, "project.xml")
+    assert list(file.cameras) == ["M3M_12mm"]
+    camera = file.cameras["M3M_12mm"].camera
+    assert [camera.value(name) for name in ("fx", "fy", "cx", "cy", "k1", "p1", "p2")] == [
+        *(502.0, 500.0, 321.0, 239.5, 0.1, 0.0, 0.001)
+    ]
+    stds = [camera.std(name) for name in ("fx", "fy", "cx", "p2")]
+    assert stds == pytest.approx([np.sqrt(13), 2.0, 1.0, 1e-3])
+    only = SENSOR.replace("adjusted", "initial", 1)
+    assert [warning.code for warning in read(tmp_path, only, "only.xml").warnings] == ["initial_calibration"]
+    for key in ("k4", "b2"):
+        with pytest.raises(InvalidInput, match=f"{key}: 0.1 is of a lens that camcal does not have: optimise"):
+            read(tmp_path, SENSOR.replace("<k1>0.1</k1>", f"<{key}>0.1</{key}>"), "more.xml")
+
+
+def test_opensfm_as_its_camera_has_it(tmp_path):
+    (own,) = json.loads(written(tmp_path, BROWN, "opensfm").read_text()).values()
+    x, y = POINTS[:, 0], POINTS[:, 1]
+    r2 = x * x + y * y
+    radial = 1 + r2 * (own["k1"] + r2 * (own["k2"] + r2 * own["k3"]))
+    x_d = x * radial + 2 * own["p1"] * x * y + own["p2"] * (r2 + 2 * x * x)
+    y_d = y * radial + 2 * own["p2"] * x * y + own["p1"] * (r2 + 2 * y * y)
+    u = (own["focal_x"] * x_d + own["c_x"]) * 640 + (640 - 1) / 2
+    v = (own["focal_y"] * y_d + own["c_y"]) * 640 + (480 - 1) / 2
+    assert np.abs(np.column_stack([u, v]) - BROWN.project(POINTS).pixels).max() < 1e-9
+
+
+@pytest.mark.parametrize(("name", "origin"), [("colmap", 0.5), ("nerfstudio", 0.5), ("matlab", 1.0), ("bouguet", 0.0)])
+def test_the_principal_point_is_counted_as_the_family_counts(tmp_path, name, origin):
+    path = written(tmp_path, BROWN, name) if name != "matlab" else tmp_path / "file.json"
+    if name == "matlab":
+        cameras.write(path, CameraFile({"camera": CameraEntry(BROWN)}), FORMATS[name])
+    assert str(322.5 + origin) in path.read_text()
+    assert str(238.25 + origin) in path.read_text()
+
+
+def test_a_fisheye_of_gyroflow_and_nerfstudio_is_opencvs(tmp_path):
+    lens = json.loads(written(tmp_path, FISHEYE, "gyroflow").read_text())["fisheye_params"]
+    pixels, _ = cv2.fisheye.projectPoints(
+        POINTS[:, None], np.zeros(3), np.zeros(3), np.array(lens["camera_matrix"]), np.array(lens["distortion_coeffs"])
+    )
+    assert np.abs(pixels[:, 0] - FISHEYE.project(POINTS).pixels).max() < 1e-9
+    own = json.loads(written(tmp_path, FISHEYE, "nerfstudio").read_text())
+    assert own["is_fisheye"] is True
+    assert own["camera_model"] == "OPENCV_FISHEYE"
+    assert "p1" not in own  # instant-ngp would take it for k3
+
+
+def test_vins_counts_the_coefficients_of_kannala_and_brandt_from_two(tmp_path):
+    block = yaml.safe_load(written(tmp_path, FISHEYE, "vins").read_text().replace("%YAML:1.0\n---", ""))
+    assert block["model_type"] == "KANNALA_BRANDT"
+    found = [block["projection_parameters"][key] for key in ("mu", "mv", "u0", "v0", "k2", "k3", "k4", "k5")]
+    assert found == FISHEYE.parameters.tolist()
+
+
+def test_what_opencv_reads_of_orb_slam_and_openvins(tmp_path):
+    file = CameraFile(
+        {"left": CameraEntry(FISHEYE), "right": CameraEntry(FISHEYE)},
+        {"right_T_left": Transform(PLACE), "left_T_imu": Transform(PLACE)},
+    )
+    cameras.write(tmp_path / "orb.yaml", file, FORMATS["orbslam3"])
+    storage = cv2.FileStorage(str(tmp_path / "orb.yaml"), cv2.FILE_STORAGE_READ)
+    assert storage.getNode("Camera1.fx").real() == 300.0
+    assert np.abs(storage.getNode("Stereo.T_c1_c2").mat() - PLACE.inverse().matrix()).max() < 1e-7  # as floats
+    assert np.abs(storage.getNode("IMU.T_b_c1").mat() - PLACE.inverse().matrix()).max() < 1e-7
+    assert storage.getNode("Camera.width").isInt()
+    cameras.write(tmp_path / "vins.yaml", file, FORMATS["openvins"])
+    storage = cv2.FileStorage(str(tmp_path / "vins.yaml"), cv2.FILE_STORAGE_READ)
+    chain = storage.getNode("cam0")
+    rows = chain.getNode("T_imu_cam")
+    assert rows.at(0).at(3).real() == pytest.approx(PLACE.inverse().translation[0], abs=1e-15)
+    assert chain.getNode("camera_model").string() == "pinhole"
+
+
+def test_a_colmap_rig_has_sensor_from_rig(tmp_path):
+    file = CameraFile({"left": CameraEntry(BROWN), "right": CameraEntry(FISHEYE)}, {"right_T_left": Transform(PLACE)})
+    cameras.write(tmp_path / "cameras.txt", file, FORMATS["colmap"])
+    words = (tmp_path / "rigs.txt").read_text().splitlines()[-1].split()
+    assert words[:7] == ["1", "2", "CAMERA", "1", "CAMERA", "2", "1"]
+    assert np.abs(so3.from_quaternion(np.array(words[7:11], float)) - PLACE.rotation).max() < 1e-15
+    back = cameras.read(tmp_path / "cameras.txt", second=tmp_path / "rigs.txt")
+    assert np.abs(pose_between(back, "camera_2", "camera_1").matrix() - PLACE.matrix()).max() < 1e-12
+    with pytest.raises(InvalidInput, match=r"give cameras\.txt first"):
+        cameras.read(tmp_path / "rigs.txt")
+    content = written(tmp_path, FISHEYE, "colmap").with_suffix(".bin")
+    cameras.write(content, CameraFile({"camera": CameraEntry(FISHEYE)}), FORMATS["colmap"])
+    head = struct.unpack("<QIiQQ", content.read_bytes()[:32])
+    assert head == (1, 1, 5, 640, 480)
+
+
+MATLAB = {
+    "K": [[500.0, 0.0, 321.0], [0.0, 501.0, 241.0], [0.0, 0.0, 1.0]],
+    "RadialDistortion": [-0.2, 0.05, 0.01],
+    "TangentialDistortion": [0.001, -0.002],
+    "ImageSize": [480, 640],
+}
+
+
+def test_matlab_in_all_its_ways(tmp_path):
+    from scipy.io import savemat
+
+    transposed = {**MATLAB, "IntrinsicMatrix": np.array(MATLAB["K"]).T.tolist()}
+    del transposed["K"]
+    intrinsics = {**MATLAB, "FocalLength": [500.0, 501.0], "PrincipalPoint": [321.0, 241.0]}
+    del intrinsics["K"]
+    expected = [500.0, 501.0, 320.0, 240.0, -0.2, 0.05, 0.001, -0.002, 0.01]
+    for number, each in enumerate((MATLAB, transposed, intrinsics)):
+        savemat(tmp_path / f"{number}.mat", {"s": {key: np.array(value) for key, value in each.items()}})
+        files = [cameras.read(tmp_path / f"{number}.mat"), read(tmp_path, json.dumps(each), "a.json")]
+        for file in files:
+            camera = file.cameras["camera"].camera
+            assert (camera.image_size, camera.parameters.tolist()) == (SIZE, expected)
+    pair = {
+        "CameraParameters1": MATLAB,
+        "CameraParameters2": transposed,
+        "RotationOfCamera2": PLACE.rotation.T.tolist(),
+        "TranslationOfCamera2": (1000 * PLACE.translation).tolist(),
+    }
+    found = read(tmp_path, json.dumps(pair), "pair.json").transforms["right_T_left"].pose
+    assert np.abs(found.matrix() - PLACE.matrix()).max() < 1e-12
+    with pytest.raises(InvalidInput, match=r"7\.3 .*save it with save\(…, '-v7'\)"):
+        read(tmp_path, "MATLAB 7.3 MAT-file, Platform: GLNXA64", "a.mat")
+    savemat(tmp_path / "none.mat", {"x": 1.0})
+    with pytest.raises(InvalidInput, match="toStruct"):
+        cameras.read(tmp_path / "none.mat")
+
+
+def test_the_other_sides_of_gyroflow(tmp_path):
+    profile = json.loads(written(tmp_path, FISHEYE, "gyroflow").read_text())
+    assert cameras.read(tmp_path / "file.json").cameras["camera"].extra["x_gyroflow"]["fps"] == 0.0
+    wrong = [
+        ({"digital_lens": "gopro_superview"}, "'gopro_superview' bends the frames once more: calibrate"),
+        ({"distortion_model": "ptlens"}, "'ptlens' is not among camcal's lens models; read are opencv_fisheye"),
+        ({"distortion_model": "sonyx"}, "'sonyx' is not a lens of this program"),
+    ]
+    for change, said in wrong:
+        with pytest.raises(InvalidInput, match=re.escape(said)):
+            read(tmp_path, json.dumps(profile | change), "a.json")
+    polynomial = profile | {"distortion_model": "poly5"}
+    polynomial["fisheye_params"] = profile["fisheye_params"] | {"distortion_coeffs": [0.1, 0.02]}
+    camera = read(tmp_path, json.dumps(polynomial), "a.json").cameras["camera"].camera
+    assert camera.model.name == "opencv4"
+    assert camera.dist.tolist() == [0.1, 0.02, 0.0, 0.0]
+    stretched = read(tmp_path, json.dumps(profile | {"input_horizontal_stretch": 1.33}), "a.json")
+    assert [each.code for each in stretched.warnings] == ["stretched_images"]
+
+
+def test_nerfstudio_with_angles_and_with_cameras_of_frames(tmp_path):
+    camera = read(tmp_path, '{"camera_angle_x": 1.0, "w": 640, "h": 480, "frames": []}', "t.json").cameras["camera"]
+    assert camera.camera.parameters.tolist() == [320 / np.tan(0.5), 320 / np.tan(0.5), 319.5, 239.5]
+    frame = {"fl_x": 500, "fl_y": 500, "cx": 320, "cy": 240, "w": 640, "h": 480, "transform_matrix": []}
+    frames = [frame, frame, frame | {"fl_x": 510}]
+    assert list(read(tmp_path, json.dumps({"frames": frames}), "t.json").cameras) == ["camera_1", "camera_2"]
+    with pytest.raises(InvalidInput, match="has poses and no lens"):
+        read(tmp_path, '{"frames": [{"transform_matrix": []}]}', "t.json")
+
+
+def test_depthai_is_in_centimetres_and_realsense_names_its_lenses(tmp_path):
+    file = CameraFile({"left": CameraEntry(BROWN), "right": CameraEntry(BROWN)}, {"right_T_left": Transform(PLACE)})
+    cameras.write(tmp_path / "oak.json", file, FORMATS["depthai"])
+    second = json.loads((tmp_path / "oak.json").read_text())["cameraData"][1][1]
+    assert second["extrinsics"]["toCameraSocket"] == 0
+    assert second["extrinsics"]["translation"]["x"] == pytest.approx(100 * PLACE.inverse().translation[0])
+    lens = {"width": 640, "height": 480, "ppx": 320, "ppy": 240, "fx": 500, "fy": 500, "coeffs": [0.1, 0, 0, 0, 0]}
+    for model in ("brown_conrady", "RS2_DISTORTION_BROWN_CONRADY", "distortion.brown_conrady", "Brown Conrady", 4):
+        assert read(tmp_path, json.dumps(lens | {"model": model}), "r.json").cameras["camera"].camera.value("k1") == 0.1
+    with pytest.raises(InvalidInput, match=r"coeff: 0\.1 is of a lens that camcal does not have"):
+        read(tmp_path, json.dumps(lens | {"model": "inverse_brown_conrady"}), "r.json")
+
+
+KITTI = """calib_time: 09-Jan-2012 13:57:47
+S_00: 640 480
+K_00: 500 0 320 0 500 240 0 0 1
+D_00: -0.3 0.2 0.001 0.002 -0.1
+R_00: 1 0 0 0 1 0 0 0 1
+T_00: 0 0 0
+S_01: 640 480
+K_01: 500 0 320 0 500 240 0 0 1
+D_01: -0.3 0.2 0.001 0.002 -0.1
+R_01: 1 0 0 0 1 0 0 0 1
+T_01: -0.54 0 0
+"""
+
+
+def test_data_sets_are_read(tmp_path):
+    raw = read(tmp_path, KITTI)
+    assert raw.transforms["cam1_T_cam0"].pose.translation.tolist() == [-0.54, 0.0, 0.0]
+    assert raw.cameras["cam0"].camera.dist.tolist() == [-0.3, 0.2, 0.001, 0.002, -0.1]
+    rectified = "P0: 500 0 320 0 0 500 240 0 0 0 1 0\nP1: 500 0 320 -270 0 500 240 0 0 0 1 0\n"
+    assert read(tmp_path, rectified, image_size=SIZE).transforms["cam1_T_cam0"].pose.translation[0] == -0.54
+    with pytest.raises(InvalidInput, match="give --size"):
+        read(tmp_path, rectified)
+    pair = read(tmp_path, "cam0=[500 0 320; 0 500 240; 0 0 1]\ncam1=[500 0 330; 0 500 240; 0 0 1]\nbaseline=120\n"
+                "doffs=10\nwidth=640\nheight=480\n")  # fmt: skip
+    assert pair.transforms["right_T_left"].pose.translation.tolist() == [-0.12, 0.0, 0.0]
+    assert pair.cameras["right"].camera.value("cx") == 330.0
+    with pytest.raises(InvalidInput, match=r"--to kitti: KITTI calib\.txt is read, not written"):
+        cameras.format_for(tmp_path / "a.txt", "kitti", FORMATS["camcal"])
+
+
+def test_fisheyes_of_toml_are_marked_and_places_are_of_the_world(tmp_path):
+    text = """[cam_10]
+name = "b"
+size = [640, 480]
+matrix = [[300.0, 0.0, 320.0], [0.0, 300.0, 240.0], [0.0, 0.0, 1.0]]
+distortions = [0.01, 0.0, 0.0, 0.0]
+fisheye = true
+rotation = [0.0, 0.0, 0.0]
+translation = [1.0, 0.0, 0.0]
+[cam_2]
+name = "a"
+size = [640, 480]
+matrix = [[300.0, 0.0, 320.0], [0.0, 300.0, 240.0], [0.0, 0.0, 1.0]]
+distortions = [0.01, 0.0, 0.0, 0.0, 0.0]
+rotation = [0.0, 0.0, 0.0]
+translation = [0.0, 0.0, 0.0]
+[metadata]
+adjusted = false
+"""
+    file = read(tmp_path, text, "calibration.toml")
+    assert [(name, entry.camera.model.name) for name, entry in file.cameras.items()] == [
+        ("a", "opencv5"),
+        ("b", "kannala_brandt4"),
+    ]
+    assert pose_between(file, "b", "a").translation.tolist() == [1.0, 0.0, 0.0]
+    new = re.sub(r"\[cam_(\d+)\]", r"[cameras.\1]", text).replace("[metadata]\nadjusted = false\n", "")
+    assert list(read(tmp_path, new, "camera_array.toml").cameras) == ["a", "b"]
+
+
+def test_a_driver_that_calls_a_fisheye_plumb_bob_is_doubted(tmp_path):
+    text = """image_width: 848
+image_height: 800
+camera_matrix: {rows: 3, cols: 3, data: [284.9, 0, 420.5, 0, 285.1, 400.7, 0, 0, 1]}
+distortion_model: plumb_bob
+distortion_coefficients: {rows: 1, cols: 5, data: [-0.0053, 0.0123, -0.0195, 0.0038, 0]}
+"""
+    file = read(tmp_path, text, "t265.yaml")
+    assert "doubtful_distortion_model" in [warning.code for warning in file.warnings]
+    fisheye = read(tmp_path, text, "t265.yaml", model="fisheye").cameras["camera"].camera
+    assert fisheye.model.name == "kannala_brandt4"
+    assert fisheye.dist.tolist() == [-0.0053, 0.0123, -0.0195, 0.0038]
