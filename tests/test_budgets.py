@@ -18,7 +18,7 @@ LINES = {
     "__main__": 6,
     "arrays": 42,
     "calibrate": 7709,
-    "cameras": 2240,
+    "cameras": 2314,
     "cli": 3600,
     "errors": 137,
     "estimate": 8714,
@@ -32,21 +32,21 @@ LINES = {
     "options": 392,
     "parsing": 86,
     "progress": 149,
-    "quality": 2715,
+    "quality": 2686,
     "raw": 5042,
     "records": 155,
-    "report": 6768,
+    "report": 6769,
     "run": 3678,
     "simulate": 1720,
     "solve": 1722,
     "stereo": 5116,
     "system": 281,
     "targets": 7063,
-    "tasks": 23268,
+    "tasks": 23269,
     "urls": 99,
 }
-PARTS = {"modules": 444, "records": 673, "records named in one module": 196, "short functions with one reference": 493}
-PASSED = {"modules": 148, "functions": 1125, "records": 127}  # from a table of detections to a camera file
+PARTS = {"modules": 444, "records": 673, "records named in one module": 196, "short functions with one reference": 492}
+PASSED = {"modules": 149, "functions": 1129, "records": 128}  # from a table of detections to a camera file
 SHORT = 5  # lines of a function's body, which could as well stand where it is called
 
 

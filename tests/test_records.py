@@ -1,7 +1,7 @@
 """What records show of themselves in a notebook, what they say of names that do not exist, and their documents."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, is_dataclass
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
 
 import numpy as np
