@@ -68,6 +68,11 @@ from camcal.images.remap import build_maps as build_maps
 from camcal.images.views import make_view as make_view
 from camcal.messages import Message as Message
 from camcal.quality.camera_comparison import CameraComparison as CameraComparison
+<<<<<<< HEAD
+=======
+from camcal.quality.projection_uncertainty import projection_covariances as projection_covariances
+from camcal.quality.view_advice import ViewAdvice as ViewAdvice
+>>>>>>> main
 from camcal.raw.demosaic import demosaic as demosaic
 from camcal.raw.develop import develop as develop
 from camcal.raw.mosaic import Mosaic as Mosaic
@@ -90,6 +95,7 @@ from camcal.targets.board import Board as Board
 from camcal.targets.detection import BoardDetection as BoardDetection
 from camcal.targets.detection import Detections as Detections
 from camcal.targets.markers import detect_markers as detect_markers
+from camcal.tasks.calibration.advise import advise_views as advise_views
 from camcal.tasks.calibration.camera_result import CalibrateReport as CalibrateReport
 from camcal.tasks.calibration.check import check_camera as check_camera
 from camcal.tasks.calibration.diff import compare_cameras as compare_cameras
@@ -165,7 +171,9 @@ __all__ = [
     "TrackOptions",
     "Trajectory",
     "Undistorted",
+    "ViewAdvice",
     "ViewOptions",
+    "advise_views",
     "average_poses",
     "build_maps",
     "build_pair_maps",

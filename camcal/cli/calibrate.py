@@ -1,4 +1,4 @@
-"""`camcal board`, `detect`, `calibrate`, `rig`, `stereo calibrate` and `undistort`."""
+"""`camcal board`, `detect`, `calibrate`, `advise`, `rig`, `stereo calibrate` and `undistort`."""
 
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -10,6 +10,7 @@ from camcal.cli.call import Call, ImageCall
 from camcal.messages import counted
 from camcal.progress import Progress
 from camcal.report.table import Column
+from camcal.tasks.calibration.advise_options import AdviseOptions
 from camcal.tasks.calibration.options import CalibrateOptions, DetectOptions
 from camcal.tasks.calibration.sheet_options import SheetOptions
 from camcal.tasks.calibration.undistort_options import UndistortOptions
@@ -17,6 +18,7 @@ from camcal.tasks.rigs.options import RigSettings, RigTaskOptions, StereoCalibra
 
 if TYPE_CHECKING:
     from camcal.calibrate.intrinsics import RejectedCorner
+    from camcal.tasks.calibration.advise import AdviseReport
     from camcal.tasks.calibration.board_sheet import BoardSheet
     from camcal.tasks.calibration.camera_result import CalibrateReport
     from camcal.tasks.calibration.detect import DetectReport
@@ -57,6 +59,28 @@ def _calibrate(options: CalibrateOptions, call: ImageCall) -> None:
         listed = ", ".join(report.failed[: show.LISTED])
         again = resume_hint(options.output)
         raise ItemsFailed(f"{counted(len(report.failed), 'image')} could not be read: {listed}{again}")
+
+
+def advise(options: AdviseOptions, call: Call) -> None:
+    """Suggest the views to take next: the poses of the board that lower the projection uncertainty most, and what it
+    will be; and which of the views that there are may be left out.
+
+    From detections the camera is calibrated first; a camera file does not hold the views, so that none are named.
+    """
+    from camcal.tasks.calibration import advise as task
+
+    report = task.advise(options, call.progress)
+    call.give(lambda: task.document(report), lambda: _show_advice(report, options))
+
+
+def _show_advice(report: "AdviseReport", options: AdviseOptions) -> None:
+    from camcal.tasks.calibration import advise as task
+
+    show.text(task.headline(report))
+    show.table("views to take next", task.COLUMNS, list(task.rows(report)))
+    for line in task.lines(report):
+        show.text(line)
+    show.wrote(options.output)
 
 
 def _show_calibration(report: "CalibrateReport", options: CalibrateOptions, verbose: bool) -> None:

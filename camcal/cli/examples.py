@@ -110,6 +110,14 @@ _CALLS = {  # a comment with the purpose above each call, as in a shell
         # Size, pattern and exposure of a raw frame
         inspect IMG_0001.DNG
     """,
+    "advise": """
+        # Which views to take next, with their picture
+        advise camera.yaml -o next.png
+        # The same from corners, with the views that may be left out
+        advise corners.csv
+        # Five views of one camera of a rig, for a program
+        advise rig.yaml#left --views 5 --json
+    """,
     "check": """
         # Whether last month's calibration still holds
         check camera.yaml today/*.png

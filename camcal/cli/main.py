@@ -52,6 +52,7 @@ COMMANDS = (
     Entry("inspect", "inspect:inspect", "Show a camera file or a raw frame."),
     Entry("check", "inspect:check", "Check by new images whether a calibration still holds."),
     Entry("diff", "inspect:diff", "Compare cameras: the same, moved, or another."),
+    Entry("advise", "calibrate:advise", "Suggest the views to take next."),
     Entry("demosaic", "raw:demosaic", "Demosaic raw frames."),
     Entry("sensor", "raw:sensor", "Measure a sensor by photon transfer (EMVA 1288)."),
     Entry("stereo", "", "Calibrate, rectify, check and match pairs; point clouds."),

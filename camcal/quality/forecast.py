@@ -19,9 +19,11 @@ from camcal.estimate.pnp import estimate_poses
 from camcal.estimate.poses.records import Correspondences, PoseOptions
 from camcal.geometry.pose import Pose
 from camcal.solve.least_squares import linearise
-from camcal.solve.steps import SingularError, factorise
-from camcal.targets.board import Board
+from camcal.solve.steps import Factors, SingularError, factorise
+from camcal.targets.board import Board, Surface
 from camcal.targets.detection import BoardDetection
+
+_LEAST_STD = 1e-12  # of a term of a board's shape, in its unit
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,23 +68,57 @@ def calibration_std(
     Parameters that the camera holds fixed have 0. The board is taken to be as drawn.
     Raises InsufficientData if the views leave a parameter open.
     """
+    names, free = camera.model.parameter_names, free_parameters(camera)
+    result = np.zeros(len(names))
+    try:
+        factors = _factors(camera, Surface.flat(board), Observations.of(views), poses, noise_px)
+        result[free] = np.sqrt(np.diag(factors.shared_covariance()))
+    except SingularError as error:
+        raise InsufficientData("some parameters are not determined by the views: plan more views, tilted") from error
+    return result
+
+
+def free_parameters(camera: Camera) -> Array:
+    """Return the places (F,) of the lens parameters that a calibration of this camera does not hold."""
     names = camera.model.parameter_names
-    free = np.array([index for index, name in enumerate(names) if name not in camera.fixed], np.intp)
-    spread = camera.model.prior_std(camera.image_size, camera.value("fx"))  # as every calibration has it
-    problem = BoardProblem(camera.model, board, Observations.of(views), free, sigma=noise_px, lens_spread=spread)
+    return np.array([index for index, name in enumerate(names) if name not in camera.fixed], np.intp)
+
+
+def view_information(
+    camera: Camera, surface: Surface, views: Observations, poses: Sequence[Pose], noise_px: float
+) -> Array:
+    """Return the information (V, D, D) that each of some views has on the free lens parameters and the terms of a
+    board's shape, its own pose eliminated; views: pixels of the board from `poses` (camera_T_board).
+
+    Raises InsufficientData for a corner outside the lens's domain, SingularError if all of them leave a parameter open.
+    """
+    return _factors(camera, surface, views, poses, noise_px).group_information()
+
+
+def _factors(camera: Camera, surface: Surface, views: Observations, poses: Sequence[Pose], noise_px: float) -> Factors:
+    """Return the factors of a calibration's normal equations at the truth; the terms of the board's shape have their
+    covariance's standard deviations as prior.
+    """
+    terms, board = surface.terms, surface.board
+    problem = BoardProblem(
+        camera.model,
+        board,
+        views,
+        free_parameters(camera),
+        terms,
+        sigma=noise_px,
+        points=surface.points(),
+        term_std=np.maximum(surface.coefficients_std(), _LEAST_STD),
+        lens_spread=camera.model.prior_std(camera.image_size, camera.value("fx")),  # as every calibration has it
+    )
     state = State(
         camera.parameters,
         np.stack([pose.rotation for pose in poses]),
         np.stack([pose.translation for pose in poses]),
-        np.zeros(0),
+        np.zeros(len(terms)),
         np.zeros((board.count, 3)),
     )
     equations = linearise(problem, state)
-    result = np.zeros(len(names))
-    try:
-        if equations is None:
-            raise InsufficientData("a corner is outside what the lens can image")
-        result[free] = np.sqrt(np.diag(factorise(equations).shared_covariance()))
-    except SingularError as error:
-        raise InsufficientData("some parameters are not determined by the views: plan more views, tilted") from error
-    return result
+    if equations is None:
+        raise InsufficientData("a corner is outside what the lens can image")
+    return factorise(equations)

@@ -45,6 +45,7 @@ RUNS = {
     "plot": "plot path.tum -o plotted",
     "check": "check rig.yaml#camera_1 seen.csv",
     "diff": "diff pair.yaml#left pair.yaml#right",
+    "advise": "advise seen.csv -o advised.png",
     "convert": "convert pair.yaml converted.yml --to opencv",
     "calibrate": "calibrate seen.csv -o camera.yaml -j 1",
     "rig": "rig two.csv --model opencv4 --flat-board --no-free-corners -o two.yaml",
