@@ -23,7 +23,7 @@ LINES = {
     "errors": 137,
     "estimate": 8714,
     "files": 398,
-    "formats": 12043,
+    "formats": 12049,
     "geometry": 963,
     "images": 1882,
     "messages": 228,
