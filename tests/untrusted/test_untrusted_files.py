@@ -248,6 +248,19 @@ def test_a_calibration_in_little_memory_ends_with_a_result_or_one_line(tmp_path,
     assert done.returncode == 0 or len(done.stderr.splitlines()) == 1
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("seconds", [0.8, 1.6, 2.4])
+def test_a_calibration_in_little_memory_ends_within_two_seconds_of_being_stopped(tmp_path, seconds):
+    detections.write(tmp_path / "views.csv", detections_of(SCENES["good"]))
+    command = [sys.executable, "-m", "camcal", "calibrate", tmp_path / "views.csv", "-o", tmp_path / "camera.yaml"]
+    limited = ["sh", "-c", 'ulimit -v 740000; exec "$@"', "sh", *command]
+    process = subprocess.Popen(limited, stderr=subprocess.PIPE, stdout=subprocess.PIPE)
+    time.sleep(seconds)
+    process.terminate()
+    process.communicate(timeout=2)
+    assert process.returncode in {0, 143, -15}
+
+
 def test_a_file_that_cannot_grow_leaves_the_old_one(tmp_path):
     path = tmp_path / "a.txt"
     path.write_text("old")

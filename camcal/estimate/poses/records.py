@@ -89,7 +89,7 @@ class PoseOptions(Brief):
     where fewer than half would remain; "many", told apart by random samples, at first as if the scale were 1 unless it
     is given.
     threshold_px: the largest residual of an inlier; None: what 99.73 % of all pixels keep to, 3.44 times the noise.
-    confidence: that one of the random samples had no outlier; seed: of the samples, the same for every view.
+    confidence: that of a better pose, one of the samples had no outlier; seed: of the samples, the same for every view.
     intrinsics: whether the covariance of the lens, and of a rig's transforms, is propagated.
     prior: what is known of the poses of all views; needs the noise, and three points then are enough.
     """
