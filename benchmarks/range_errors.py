@@ -28,11 +28,12 @@ from rig_programs import camcal_rig
 
 from camcal.calibrate.intrinsics import Options, calibrate
 from camcal.cameras.catalogue import model_named
+from camcal.cameras.directions import grid_pixels
 from camcal.cameras.model import Camera
 from camcal.formats.camera_file import CalibrationVerdict, CameraEntry, CameraFile, JointCovariance, Transform
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
-from camcal.quality.projection_uncertainty import KnownRegion, grid_pixels, in_polygon
+from camcal.quality.projection_uncertainty import KnownRegion, in_polygon
 from camcal.quality.range_uncertainty import CalibrationBoards, objects
 from camcal.run.fanout import fan_out
 from camcal.simulate.scene import make_camera, observe, views

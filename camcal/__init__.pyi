@@ -5,6 +5,7 @@ from camcal.calibrate.rigs.record import Captures as Captures
 from camcal.calibrate.rigs.record import RigCalibration as RigCalibration
 from camcal.cameras.catalogue import MODELS as MODELS
 from camcal.cameras.catalogue import model_named as model_named
+from camcal.cameras.directions import projection_covariances as projection_covariances
 from camcal.cameras.lens import CameraModel as CameraModel
 from camcal.cameras.lens import Projection as Projection
 from camcal.cameras.lens import Rays as Rays
@@ -67,8 +68,11 @@ from camcal.images.remap import build_maps as build_maps
 from camcal.images.views import make_view as make_view
 from camcal.messages import Message as Message
 from camcal.quality.camera_comparison import CameraComparison as CameraComparison
+<<<<<<< HEAD
+=======
 from camcal.quality.projection_uncertainty import projection_covariances as projection_covariances
 from camcal.quality.view_advice import ViewAdvice as ViewAdvice
+>>>>>>> main
 from camcal.raw.demosaic import demosaic as demosaic
 from camcal.raw.develop import develop as develop
 from camcal.raw.mosaic import Mosaic as Mosaic

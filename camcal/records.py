@@ -93,7 +93,7 @@ ELSEWHERE = {
     "plot": "the option figures of the calibration: CalibrateOptions(figures=...), or camcal plot FILE",
     "write_report": "the option report of the calibration: CalibrateOptions(report='report.html')",
     "jacobian": "camera.project_with_jacobians(points)",
-    "uncertainty_at": "camcal.projection_covariances(camera, pixels)",
+    "uncertainty_at": "camera.projection_std(pixels), camcal.projection_covariances(camera, pixels)",
 }
 
 

@@ -1,7 +1,7 @@
 """What records show of themselves in a notebook, what they say of names that do not exist, and their documents."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, is_dataclass
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -116,6 +116,11 @@ def test_the_uncertainty_at_a_pixel_is_that_of_the_map(results):
     camera, calibration = results[0].camera, results[0].calibration
     at = camcal.projection_covariances(camera, found.pixels[[0, 300]], calibration.pixels)
     np.testing.assert_allclose(at, found.covariances[[0, 300]], rtol=1e-6)
+    everywhere = np.sqrt(np.trace(camcal.projection_covariances(camera, found.pixels), axis1=1, axis2=2) / 2)
+    np.testing.assert_allclose(camera.projection_std(found.pixels), everywhere)
+    assert camera.projection_std(found.pixels[7]) == pytest.approx(everywhere[7])
+    with pytest.raises(camcal.InvalidInput, match="needs the covariance of the camera"):
+        replace(camera, covariance=None).projection_std([1.0, 2.0])
 
 
 def test_a_pose_comes_from_its_matrix(results):

@@ -4,17 +4,36 @@ A camera's own axes are a choice of its calibration: a rotation of all direction
 what the camera measures. The rotation that best undoes a change of the parameters is therefore taken out.
 """
 
-import numpy as np
+from typing import Protocol
 
-from camcal.arrays import Array
-from camcal.cameras.lens import ProjectionJacobians
-from camcal.cameras.model import Camera
+import numpy as np
+from numpy.typing import ArrayLike
+
+from camcal.arrays import Array, FloatArray, require_shape
+from camcal.cameras.lens import CameraModel, ProjectionJacobians, Rays
+from camcal.errors import InvalidInput
 from camcal.geometry import rotation as so3
+
+GRID = (31, 23)  # columns and rows of pixels over an image, at which uncertainties are stated
 
 _FEWEST = 10  # pixels that a rotation is fitted to
 _FLAT = 1e-6  # px, the width of a hull that is a line
 _ROUNDING_PX = 1e-3  # of corners of a hull, in single precision
 _TURNS = 4  # linear steps to the rotation between two lenses
+
+
+class Camera(Protocol):
+    """A lens with its parameters: what `cameras.model.Camera` has of it, which asks for its uncertainty here."""
+
+    @property
+    def model(self) -> CameraModel: ...
+    @property
+    def image_size(self) -> tuple[int, int]: ...
+    @property
+    def parameters(self) -> Array: ...
+    @property
+    def covariance(self) -> Array | None: ...
+    def unproject(self, pixels: Array, /) -> Rays: ...
 
 
 def direction_displacements(
@@ -80,6 +99,50 @@ def camera_axes(camera: Camera, pixels: Array, fitted: Array | None = None, dist
     shift = np.broadcast_to(np.eye(2), (len(pixels), 2, 2))
     moved = np.concatenate([(pixels - camera.parameters[2:4])[:, :, None], shift], axis=2)
     return _without_motion(moved, _jacobians(camera, pixels, distances)[2], fitted)
+
+
+def projection_covariances(camera: Camera, pixels: ArrayLike, observed: Array | None = None) -> FloatArray:
+    """Return the covariances (N, 2, 2), px², of the projections of far points that are seen at pixels (N, 2).
+
+    observed: pixels (M, 2) of the corners of the calibration; the rotation is that over the part of the image that they
+    cover, over the whole image without them, not over `pixels`. NaN where the lens is not valid. Raises InvalidInput
+    where the covariance of the camera is not known.
+    """
+    pixels = require_shape(pixels, (None, 2), "pixels")
+    image = grid_pixels(*(np.linspace(0, side - 1, count) for side, count in zip(camera.image_size, GRID, strict=True)))
+    fitted = np.ones(len(image), bool) if observed is None else in_hull(image, observed)
+    fitted = np.append(fitted, np.zeros(len(pixels), bool))
+    together = np.concatenate([image, pixels])
+    return direction_covariances(camera, camera.covariance, together, fitted)[len(image) :]
+
+
+def direction_covariances(
+    camera: Camera, covariance: Array | None, pixels: Array, fitted: Array | None = None
+) -> FloatArray:
+    """Return the covariances (N, 2, 2), px², of the images of the directions seen at pixels (N, 2).
+
+    covariance: (K, K) of the lens parameters. fitted, NaN: as of `direction_displacements`. Raises InvalidInput where
+    the covariance is not known.
+    """
+    if covariance is None:
+        raise InvalidInput("the projection uncertainty needs the covariance of the camera, which is not known")
+    moved = direction_displacements(camera, pixels, fitted) @ covariance_root(covariance)
+    return np.asarray(moved @ moved.transpose(0, 2, 1))
+
+
+def covariance_root(covariance: Array) -> Array:
+    """Return a root R (K, K) of a covariance R Rᵀ, by which no variance of what it moves is negative, as it may be by
+    rounding where parameters are strongly correlated.
+    """
+    std = np.sqrt(np.diag(covariance))
+    scale = np.where(std > 0, std, 1.0)
+    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
+    return np.asarray(scale[:, None] * vectors * np.sqrt(np.maximum(values, 0.0)))
+
+
+def grid_pixels(u: Array, v: Array) -> Array:
+    """Return the pixels (N, 2) of a grid of columns u and rows v, row by row."""
+    return np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
 
 
 def _by_motion(projected: ProjectionJacobians, points: Array, *, near: bool) -> Array:

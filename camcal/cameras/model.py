@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from camcal.arrays import Array, FloatArray, readonly, require_shape
 from camcal.cameras.catalogue import MODELS
+from camcal.cameras.directions import projection_covariances
 from camcal.cameras.lens import FISHEYE, OPENCV, CameraModel, Projection, ProjectionJacobians, Rays
 from camcal.errors import InvalidInput
 from camcal.geometry.pose import Pose
@@ -94,6 +95,16 @@ class Camera(Brief):
     def unproject(self, pixels: ArrayLike) -> Rays:
         """Return the unit rays of pixels (N, 2)."""
         return self.model.unproject(self.parameters, require_shape(pixels, (None, 2), "pixels"))
+
+    def projection_std(self, pixels: ArrayLike) -> FloatArray:
+        """Return the standard deviations (N,), px, of the projections of far points that are seen at pixels (N, 2), or
+        of one at a pixel (2,): RMS over the image directions, after the rotation that suits the image best.
+
+        NaN where the lens is not valid. Raises InvalidInput where the covariance is not known.
+        """
+        found = projection_covariances(self, np.atleast_2d(np.asarray(pixels, np.float64)))
+        std = np.sqrt(np.trace(found, axis1=1, axis2=2) / 2)
+        return np.asarray(std if np.ndim(pixels) > 1 else std[0])
 
     def value(self, name: str) -> float:
         """Return one parameter by its name, such as 'fx'."""

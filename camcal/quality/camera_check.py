@@ -10,6 +10,7 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.calibrate.effects import ROLLING
 from camcal.calibrate.known_cameras import KnownBoard, KnownCamera, NewViews, examine
+from camcal.cameras.directions import grid_pixels
 from camcal.cameras.model import Camera, resized
 from camcal.cameras.observations import Observations
 from camcal.errors import InsufficientData, InvalidInput
@@ -18,7 +19,7 @@ from camcal.messages import counted
 from camcal.quality.camera_comparison import MOST_SHIFT, MOST_ZOOM
 from camcal.quality.camera_drift import Drift, Estimated, LensDrift, PlaceDrift, drift_grid, lens_drift, place_drift
 from camcal.quality.mount import MountMovement, mount_movement
-from camcal.quality.projection_uncertainty import grid_pixels, in_polygon
+from camcal.quality.projection_uncertainty import in_polygon
 from camcal.solve.losses import variance_ratio_beyond
 from camcal.targets.detection import BoardDetection
 

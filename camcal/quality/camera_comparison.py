@@ -11,12 +11,19 @@ from math import inf, sqrt
 import numpy as np
 
 from camcal.arrays import Array, BoolArray, FloatArray, readonly
-from camcal.cameras.directions import camera_axes, direction_displacements, lens_difference
+from camcal.cameras.directions import (
+    GRID,
+    camera_axes,
+    covariance_root,
+    direction_displacements,
+    grid_pixels,
+    lens_difference,
+)
 from camcal.cameras.model import Camera, resized
 from camcal.cameras.validity import ImageCircle
 from camcal.errors import InvalidInput
 from camcal.messages import counted
-from camcal.quality.projection_uncertainty import GRID, covariance_root, grid_pixels, in_polygon
+from camcal.quality.projection_uncertainty import in_polygon
 from camcal.records import Brief
 from camcal.solve.losses import variance_ratio_beyond
 

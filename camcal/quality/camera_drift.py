@@ -12,11 +12,10 @@ import numpy as np
 
 from camcal.arrays import Array, BoolArray, FloatArray, readonly
 from camcal.calibrate.known_cameras import KnownCamera, NewViews, changes
-from camcal.cameras.directions import camera_axes, direction_displacements
+from camcal.cameras.directions import GRID, camera_axes, direction_displacements, grid_pixels
 from camcal.cameras.model import Camera
 from camcal.geometry.pose import Pose
 from camcal.quality.camera_comparison import CHANCE
-from camcal.quality.projection_uncertainty import GRID, grid_pixels
 from camcal.records import Brief
 from camcal.solve.losses import variance_ratio_beyond
 
@@ -131,7 +130,8 @@ def lens_drift(known: KnownCamera, found: NewViews, inside: BoolArray | None, vi
     over = np.asarray(valid if inside is None or not (valid & inside).any() else valid & inside)
     axes = _axes(camera)[free]
     axes = axes[:, np.any(axes != 0, axis=0)]
-    chances = _chance(information, score, covariance, views), _along(information, score, covariance, axes, views)
+    chances = [_along(information, score, covariance, some, views) for some in (axes, axes[:, :1])]
+    chances.append(_chance(information, score, covariance, views))
     # the mean and the covariance of a change that lenses may undergo, given what is seen
     gain = prior @ np.linalg.inv(np.eye(len(free)) + information @ (prior + covariance))
     change, left = gain @ score, prior - gain @ information @ prior
@@ -139,8 +139,8 @@ def lens_drift(known: KnownCamera, found: NewViews, inside: BoolArray | None, vi
     focal, *centre = (_estimated(row, change, left) for row in _rows(camera)[:, free])
     return LensDrift(
         *_extent(by_lens[over], moved[over], left),
-        chance=min(1.0, 2 * min(chances)),
-        smallest_px=_smallest(information, covariance, axes[:, 0], by_lens[over], axes.shape[1]),
+        chance=min(1.0, len(chances) * min(chances)),
+        smallest_px=_smallest(information, covariance, axes[:, 0], by_lens[over], 1, CHANCE / len(chances)),
         calibration_px=_rms_std(by_lens[over], covariance),
         focal=focal,
         shift=(centre[0], centre[1]),
@@ -169,7 +169,7 @@ def place_drift(found: NewViews, covariance: Array, pose: Pose, views: float) ->
     return PlaceDrift(
         *_extent(by_place, by_place @ change, left),
         chance=_along(found.information, found.score, covariance, axes, views),
-        smallest_px=_smallest(found.information, covariance, axes[:, 4], by_place @ np.eye(6)[4:5].T, 6),
+        smallest_px=_smallest(found.information, covariance, axes[:, 4], by_place @ np.eye(6)[4:5].T, 6, CHANCE),
         calibration_px=_rms_std(by_place, own),
         shift=change[:3],
         shift_std=std[:3],
@@ -285,8 +285,9 @@ def _rms_std(by: Array, covariance: Array) -> float:
     return float(np.sqrt(np.mean(np.maximum(variances, 0.0))))
 
 
-def _smallest(information: Array, covariance: Array, axis: Array, by: Array, dof: int) -> float:
-    """Return the smallest change along an axis (D,), px RMS, that is found with a probability of _POWER.
+def _smallest(information: Array, covariance: Array, axis: Array, by: Array, dof: int, chance: float) -> float:
+    """Return the smallest change along an axis (D,), px RMS, that is found with a probability of _POWER by a test of so
+    many degrees of freedom, in which less than a `chance` is no chance.
 
     by: (N, 2, F) the derivatives of pixels by the parameters that the axis is of, or (N, 2, 1) by a step along it.
     """
@@ -294,7 +295,7 @@ def _smallest(information: Array, covariance: Array, axis: Array, by: Array, dof
 
     weight = np.linalg.inv(np.eye(len(covariance)) + information @ covariance) @ information
     known = float(axis @ weight @ axis)
-    needed = float(chndtrinc(chdtri(dof, CHANCE / 2), dof, 1 - _POWER))
+    needed = float(chndtrinc(chdtri(dof, chance), dof, 1 - _POWER))
     moved = by[:, :, 0] if by.shape[2] == 1 else by @ axis
     per_unit = float(np.sqrt(np.mean(np.sum(moved**2, axis=1))))
     return sqrt(needed / known) * per_unit if known > 0 else inf

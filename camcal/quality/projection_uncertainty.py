@@ -7,17 +7,14 @@ what the camera measures. The rotation that best undoes a change of the paramete
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from camcal.arrays import Array, BoolArray, FloatArray, readonly, require_shape
-from camcal.cameras.directions import direction_displacements, in_hull
+from camcal.arrays import Array, BoolArray, FloatArray, readonly
+from camcal.cameras.directions import GRID, direction_covariances, grid_pixels, in_hull
 from camcal.cameras.model import Camera
 from camcal.cameras.validity import ImageCircle, border_pixels
-from camcal.errors import InvalidInput
 from camcal.messages import Message
 from camcal.records import Brief
 
-GRID = (31, 23)
 _STEPS = 200  # of the way from the middle of a region to the border of the image
 
 
@@ -188,43 +185,7 @@ def projection_uncertainty(
     u, v = np.linspace(0, width - 1, grid[0]), np.linspace(0, height - 1, grid[1])
     pixels = grid_pixels(u, v)
     inside = None if observed is None else in_hull(pixels, observed)
-    found = _covariances(camera, covariance, pixels, inside)
+    found = direction_covariances(camera, covariance, pixels, inside)
     if circle is not None:
         found = np.where(circle.contains(pixels)[:, None, None], found, np.nan)
     return ProjectionUncertainty(u, v, found, inside)
-
-
-def projection_covariances(camera: Camera, pixels: ArrayLike, observed: Array | None = None) -> FloatArray:
-    """Return the covariances (N, 2, 2), px², of the projections of far points that are seen at pixels (N, 2).
-
-    observed: as of `projection_uncertainty`; the rotation is that over the image, not over `pixels`. NaN where the lens
-    is not valid. Raises InvalidInput where the covariance of the camera is not known.
-    """
-    pixels = require_shape(pixels, (None, 2), "pixels")
-    width, height = camera.image_size
-    image = grid_pixels(np.linspace(0, width - 1, GRID[0]), np.linspace(0, height - 1, GRID[1]))
-    fitted = np.ones(len(image), bool) if observed is None else in_hull(image, observed)
-    fitted = np.append(fitted, np.zeros(len(pixels), bool))
-    return _covariances(camera, camera.covariance, np.concatenate([image, pixels]), fitted)[len(image) :]
-
-
-def _covariances(camera: Camera, covariance: Array | None, pixels: Array, fitted: Array | None) -> FloatArray:
-    if covariance is None:
-        raise InvalidInput("the projection uncertainty needs the covariance of the camera, which is not known")
-    moved = direction_displacements(camera, pixels, fitted) @ covariance_root(covariance)
-    return np.asarray(moved @ moved.transpose(0, 2, 1))
-
-
-def covariance_root(covariance: Array) -> Array:
-    """Return a root R (K, K) of a covariance R Rᵀ, by which no variance of what it moves is negative, as it may be by
-    rounding where parameters are strongly correlated.
-    """
-    std = np.sqrt(np.diag(covariance))
-    scale = np.where(std > 0, std, 1.0)
-    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
-    return np.asarray(scale[:, None] * vectors * np.sqrt(np.maximum(values, 0.0)))
-
-
-def grid_pixels(u: Array, v: Array) -> Array:
-    """Return the pixels (N, 2) of a grid of columns u and rows v, row by row."""
-    return np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)

@@ -11,18 +11,19 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from camcal.arrays import Array, FloatArray, readonly
-from camcal.cameras.directions import in_hull, point_displacements, ray_displacements
+from camcal.cameras.directions import (
+    GRID,
+    covariance_root,
+    grid_pixels,
+    in_hull,
+    point_displacements,
+    ray_displacements,
+)
 from camcal.cameras.model import Camera
 from camcal.errors import InvalidInput
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
-from camcal.quality.projection_uncertainty import (
-    GRID,
-    ProjectionUncertainty,
-    covariance_root,
-    grid_pixels,
-    projection_uncertainty,
-)
+from camcal.quality.projection_uncertainty import ProjectionUncertainty, projection_uncertainty
 from camcal.records import Brief
 from camcal.solve.losses import student_bound
 

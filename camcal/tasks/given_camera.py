@@ -7,6 +7,7 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.cameras.catalogue import model_named
+from camcal.cameras.directions import GRID, grid_pixels
 from camcal.cameras.lens import FISHEYE
 from camcal.cameras.model import Camera
 from camcal.errors import InvalidInput
@@ -15,7 +16,7 @@ from camcal.formats.camera_file import CalibrationVerdict, CameraEntry, CameraFi
 from camcal.formats.cameras.record import CAMERA, Given, MissingSize
 from camcal.messages import Message
 from camcal.progress import SILENT, Progress
-from camcal.quality.projection_uncertainty import GRID, grid_pixels, in_polygon
+from camcal.quality.projection_uncertainty import in_polygon
 from camcal.run.paths import IMAGE_SUFFIXES, VIDEO_SUFFIXES, require_there, split_address
 from camcal.tasks.options import GivenCamera
 

@@ -2,6 +2,8 @@
 
 import os
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -105,3 +107,18 @@ def test_xml_of_no_family_is_said_to_be_of_none(tmp_path, text, said):
     with pytest.raises(CamcalError, match=said) as caught:
         cameras.read(path)
     assert "YAML" not in str(caught.value)
+
+
+def test_a_family_is_loaded_only_where_a_file_is_of_it(tmp_path):
+    text = "K: [[500, 0, 320], [0, 500, 240], [0, 0, 1]]\nD: [0, 0, 0, 0, 0]\nsize: [640, 480]\n"
+    (tmp_path / "a.yml").write_text(text)
+    script = (
+        "import sys; from camcal.formats import cameras; cameras.read('a.yml'); "
+        "print(*sorted(each for each in sys.modules if each.startswith('camcal.formats.cameras.'))); "
+        "print(*sorted({'cv2', 'scipy', 'pydantic', 'tomllib', 'xml.sax'} & set(sys.modules)))"
+    )
+    done = subprocess.run([sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True, check=True)
+    loaded, others = done.stdout.split("\n")[:2]
+    families = {each.rpartition(".")[2] for each in loaded.split()} & set(FORMATS.modules.values())
+    assert families == {"opencv"}
+    assert others == ""

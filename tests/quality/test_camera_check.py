@@ -75,7 +75,7 @@ def test_small_chances_without_a_drift_are_as_rare_as_they_say(known):
     for seed in range(100, 112):
         own, board = calibrated(lens("opencv4"), seed, 12)
         chances += [check_lens(own, seen(lens("opencv4"), 1000 * seed + k, k), board).drift.chance for k in (1, 2, 4)]
-    # the smaller one of two chances, doubled: fewer are small than if it were one
+    # the smallest one of three chances, times three: fewer are small than if it were one
     assert 0.15 < np.mean(np.array(chances) < 0.5) < 0.6
     assert np.mean(np.array(chances) < 0.02) < 0.1
 
@@ -336,5 +336,5 @@ def test_noncentral_chi_square_is_scipys():
     # the power of the test that states the smallest drift
     from scipy.special import chdtri, chndtrinc
 
-    needed = chndtrinc(chdtri(3, 5e-4), 3, 0.1)
-    assert ncx2.sf(chdtri(3, 5e-4), 3, needed) == pytest.approx(0.9, abs=1e-6)
+    needed = chndtrinc(chdtri(1, 1e-3 / 3), 1, 0.1)
+    assert ncx2.sf(chdtri(1, 1e-3 / 3), 1, needed) == pytest.approx(0.9, abs=1e-6)

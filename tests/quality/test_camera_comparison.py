@@ -12,12 +12,11 @@ import pytest
 from scipy.stats import f as fisher
 
 from camcal.cameras.catalogue import model_named
-from camcal.cameras.directions import lens_difference
+from camcal.cameras.directions import grid_pixels, lens_difference
 from camcal.cameras.model import Camera, resized
 from camcal.cameras.validity import ImageCircle
 from camcal.errors import InvalidInput
 from camcal.quality.camera_comparison import MOVED, OTHER, SAME, UNKNOWN, Calibrated, compare
-from camcal.quality.projection_uncertainty import grid_pixels
 from camcal.solve.losses import variance_ratio_beyond
 
 SIZE = (1280, 960)

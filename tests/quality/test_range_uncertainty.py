@@ -10,12 +10,12 @@ import pytest
 from camcal.calibrate.fit import ShapeOptions
 from camcal.calibrate.intrinsics import Options, calibrate
 from camcal.cameras.catalogue import model_named
-from camcal.cameras.directions import in_hull
+from camcal.cameras.directions import grid_pixels, in_hull
 from camcal.cameras.model import Camera
 from camcal.errors import InvalidInput
 from camcal.geometry import rotation as so3
 from camcal.quality.camera_comparison import Calibrated
-from camcal.quality.projection_uncertainty import grid_pixels, projection_uncertainty
+from camcal.quality.projection_uncertainty import projection_uncertainty
 from camcal.quality.range_uncertainty import CalibrationBoards, camera_errors, range_uncertainty
 from camcal.simulate.scene import make_camera, observe, views
 from camcal.solve.losses import student_bound

@@ -2,10 +2,11 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 
+from camcal.cameras.directions import projection_covariances
 from camcal.messages import counted
 from camcal.quality.camera_check import DRIFTED, NOT_SHOWN, VALID, WORDS, Checked, CheckedCamera
 from camcal.quality.camera_drift import LensDrift, drift_grid
-from camcal.quality.projection_uncertainty import ProjectionUncertainty, projection_covariances
+from camcal.quality.projection_uncertainty import ProjectionUncertainty
 from camcal.report.figures.image_plane import lens_drift, projection_uncertainty
 from camcal.report.page.record import BAD, GOOD, UNKNOWN, WARNING, Page, PageVerdict, Section, ShownMessage, Table
 from camcal.report.page.record import Figure as KeyFigure
