@@ -304,3 +304,18 @@ distortion_coefficients: {rows: 1, cols: 5, data: [-0.0053, 0.0123, -0.0195, 0.0
     fisheye = read(tmp_path, text, "t265.yaml", model="fisheye").cameras["camera"].camera
     assert fisheye.model.name == "kannala_brandt4"
     assert fisheye.dist.tolist() == [-0.0053, 0.0123, -0.0195, 0.0038]
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ('{"value0": {"intrinsics": [{"camera_type": "kb4"}], "resolution": [[640, 480]]}}', "has no intrinsics"),
+        ('{"camera_angle_x": 0.0, "w": 640, "h": 480}', "camera_angle_x: is not between 0 and pi"),
+        ('{"fisheye_params": 3}', "fisheye_params: is not a mapping"),
+        ('{"cameraData": {}}', "is not a list of sockets"),
+    ],
+)
+def test_what_is_missing_in_json_is_named(tmp_path, text, said):
+    with pytest.raises(InvalidInput, match=said) as caught:
+        read(tmp_path, text, "a.json")
+    assert "\n" not in str(caught.value)

@@ -55,10 +55,12 @@ def _camera(values: Values, given: Given) -> Camera:
     data = dict(values.data)
     for axis, side, key, angle in ((0, size[0], "fl_x", "camera_angle_x"), (1, size[1], "fl_y", "camera_angle_y")):
         if data.get(key) is None and data.get(angle) is not None:
+            if not 0 < values.number(angle) < math.pi:
+                raise values.wrong(angle, "is not between 0 and pi")
             data[key] = side / 2 / math.tan(values.number(angle) / 2)
         if data.get(f"c{'xy'[axis]}") is None:
             data[f"c{'xy'[axis]}"] = side / 2
-    data["fl_y"] = data.get("fl_y") or data["fl_x"]
+    data["fl_y"] = data.get("fl_y") or data.get("fl_x")
     word = values.text("camera_model") or ("OPENCV_FISHEYE" if values.data.get("is_fisheye") is True else "OPENCV")
     every = Values(values.document, values.path, data)
     return LENSES.keyed(every, LENSES.of(values, "camera_model", word), size)

@@ -38,9 +38,10 @@ class Values:
 
     def below(self, key: str) -> "Values":
         """Return the values below a key, which is to be a mapping."""
-        value = self.data[key]
+        value = self.data.get(key)
         if not isinstance(value, dict):
-            raise self.wrong(key, "is not a mapping of keys to values")
+            text = "is not a mapping of keys to values" if key in self.data else f"has no {key}"
+            raise self.wrong(key if key in self.data else "", text)
         return Values(self.document, child(self.path, key), value)
 
     def each(self, key: str) -> Iterator["Values"]:
