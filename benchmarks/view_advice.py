@@ -30,13 +30,12 @@ import numpy as np
 
 from camcal.calibrate.intrinsics import Options, calibrate
 from camcal.cameras.catalogue import model_named
-from camcal.cameras.directions import direction_displacements, lens_difference
+from camcal.cameras.directions import direction_displacements, grid_pixels, lens_difference
 from camcal.cameras.model import Camera
 from camcal.cameras.observations import Observations
 from camcal.errors import CamcalError
 from camcal.geometry.pose import Pose
 from camcal.quality.forecast import view_information
-from camcal.quality.projection_uncertainty import grid_pixels
 from camcal.quality.range_uncertainty import CalibrationBoards
 from camcal.quality.view_advice import Known, advise
 from camcal.run.fanout import fan_out

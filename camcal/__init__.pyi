@@ -68,11 +68,7 @@ from camcal.images.remap import build_maps as build_maps
 from camcal.images.views import make_view as make_view
 from camcal.messages import Message as Message
 from camcal.quality.camera_comparison import CameraComparison as CameraComparison
-<<<<<<< HEAD
-=======
-from camcal.quality.projection_uncertainty import projection_covariances as projection_covariances
 from camcal.quality.view_advice import ViewAdvice as ViewAdvice
->>>>>>> main
 from camcal.raw.demosaic import demosaic as demosaic
 from camcal.raw.develop import develop as develop
 from camcal.raw.mosaic import Mosaic as Mosaic

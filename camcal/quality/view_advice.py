@@ -14,7 +14,7 @@ from itertools import product
 import numpy as np
 
 from camcal.arrays import Array, BoolArray
-from camcal.cameras.directions import direction_displacements
+from camcal.cameras.directions import GRID, covariance_root, direction_displacements, grid_pixels
 from camcal.cameras.model import Camera
 from camcal.cameras.observations import Observations
 from camcal.cameras.validity import ImageCircle
@@ -22,7 +22,6 @@ from camcal.errors import InsufficientData
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
 from camcal.quality.forecast import free_parameters, view_information
-from camcal.quality.projection_uncertainty import GRID, covariance_root, grid_pixels
 from camcal.records import Brief
 from camcal.targets.board import Board, Surface
 from camcal.targets.detection import BoardDetection

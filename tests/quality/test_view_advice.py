@@ -9,11 +9,10 @@ import pytest
 from camcal.calibrate.fit import ShapeOptions
 from camcal.calibrate.intrinsics import Options, calibrate
 from camcal.cameras.catalogue import model_named
-from camcal.cameras.directions import direction_displacements
+from camcal.cameras.directions import direction_displacements, grid_pixels
 from camcal.cameras.observations import Observations
 from camcal.errors import InsufficientData
 from camcal.quality.forecast import calibration_std, view_information
-from camcal.quality.projection_uncertainty import grid_pixels
 from camcal.quality.view_advice import Known, advise, candidates
 from camcal.simulate.scene import make_camera, observe, views
 from camcal.targets.board import Board, Surface
