@@ -353,6 +353,19 @@ def test_blocks_of_the_covariance_have_the_scale_and_as_far_as_views_show_it_the
     assert np.linalg.eigvalsh(found).min() > 0
 
 
+def test_errors_that_cancel_between_blocks_do_so_in_the_covariance_whatever_the_scales_of_the_blocks():
+    rng = np.random.default_rng(24)
+    root = np.eye(LENS + 2)
+    root[1, :2] = 1.0, 0.01  # the second follows the first to 1 %, as a baseline does a focal length
+    moved = rng.normal(size=(8, LENS + 2)) / np.sqrt(8) @ root.T
+    moved[:, 2] *= 5.0  # another one of the second block scatters more than is claimed
+    given = *made(rng, [moved], root @ root.T), np.eye(LENS), np.ones(1)
+    found = covariance_of(*given, blocks=(slice(0, 1), slice(1, LENS)))
+    difference = np.array([1.0, -1.0, 0.0, 0.0, 0.0])
+    assert 1e-4 / 2 < difference @ found @ difference < 25 * 1e-4  # no more than the scale of the second block
+    assert found[2, 2] > 5.0
+
+
 def test_weights_by_predictions_do_not_depend_on_the_noise_that_all_estimates_have_in_common():
     rng = np.random.default_rng(23)
     metric, moved = metric_of(rng), drawn(rng, 1.0, 1.0, 1.0)

@@ -91,7 +91,10 @@ def advise_views(
 
 def _of_calibration(report: CalibrateReport) -> tuple[Known, list[tuple[BoardDetection, Pose]]]:
     """Return what a calibration knows of its camera, and the views that count with camera_T_board."""
-    own = report.calibration
+    own, several = report.calibration, sorted({str(view.camera) for view in report.views.detections.views})
+    if len(several) > 1:
+        names, first = ", ".join(several), several[0]
+        raise InvalidInput(f"the views are of several cameras ({names}): name one of a rig file, as rig.yaml#{first}")
     poses = {view.image: view.camera_T_board for view in own.used}
     seen = [
         (view.renumbered(own.board.symmetries()[turn]), pose)
