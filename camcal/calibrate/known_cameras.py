@@ -7,6 +7,7 @@ See docs/mathematics.md, "Check of a calibration".
 """
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -111,15 +112,15 @@ def examine(known: Sequence[KnownCamera], poses: Sequence[Pose], board: KnownBoa
             better = best_turns_of_captures(found.problem, found.state)
             if not better.any():
                 break
-            found = _estimate(
-                *turned(problem, replace(found.state, offsets=0 * found.state.offsets), better), additional
-            )
-        every = replace(additional, effects=tuple(effect.name for effect in EFFECTS))
-        motion = len(known) > 1 and moved_between_exposures(found)
-        full = estimate_rig(found.problem, found.state, every, found.known, found.board, motion=motion)
-    except SingularError as error:
+            bare = replace(found.state, offsets=0 * found.state.offsets)
+            found = _estimate(*turned(problem, bare, better), additional)
+    except (SingularError, np.linalg.LinAlgError) as error:
         raise InsufficientData("the views do not determine where the board is: more corners are needed") from error
-    found = full if full.converged else found
+    every = replace(additional, effects=tuple(effect.name for effect in EFFECTS))
+    motion = len(known) > 1 and moved_between_exposures(found)
+    with suppress(SingularError, np.linalg.LinAlgError):  # views that fit nowhere tell of no errors within them
+        full = estimate_rig(found.problem, found.state, every, found.known, found.board, motion=motion)
+        found = full if full.converged else found
     end = found.problem.board_start
     precision = np.linalg.inv(found.factors.shared_covariance()[:end, :end])
     information = precision - found.problem.prior_precision()[:end, :end]
