@@ -11,7 +11,7 @@ import yaml
 
 from camcal.cameras.catalogue import MODELS
 from camcal.cameras.model import Camera
-from camcal.errors import InvalidInput
+from camcal.errors import CamcalError, InvalidInput
 from camcal.formats import cameras
 from camcal.formats.camera_file import CameraEntry, CameraFile, Transform, pose_between
 from camcal.formats.cameras import FORMATS
@@ -319,3 +319,24 @@ def test_what_is_missing_in_json_is_named(tmp_path, text, said):
     with pytest.raises(InvalidInput, match=said) as caught:
         read(tmp_path, text, "a.json")
     assert "\n" not in str(caught.value)
+
+
+def test_damaged_and_compressed_files_of_matlab(tmp_path):
+    from scipy.io import savemat
+
+    path = tmp_path / "a.mat"
+    savemat(path, {"s": {key: np.array(value) for key, value in MATLAB.items()}}, do_compression=True)
+    assert cameras.read(path).cameras["camera"].camera.value("cx") == 320.0
+    cameras.write(path, CameraFile({"camera": CameraEntry(BROWN)}), FORMATS["matlab"])
+    content = path.read_bytes()
+    rng = np.random.default_rng(0)
+    for _ in range(300):
+        damaged = bytearray(content)
+        for place in rng.integers(120, len(content), 3):
+            damaged[place] = rng.integers(256)
+        path.write_bytes(bytes(damaged[: rng.integers(130, len(content) + 1)]))
+        try:
+            found = cameras.read(path, given=Given(SIZE))
+        except CamcalError:
+            continue
+        assert all(np.isfinite(entry.camera.parameters).all() for entry in found.cameras.values())

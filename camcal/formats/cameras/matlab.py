@@ -8,6 +8,8 @@ Source: MathWorks' documentation of cameraParameters, toStruct, cameraIntrinsics
 """
 
 import io
+import struct
+import zlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -18,7 +20,7 @@ from camcal import files
 from camcal.cameras.model import Camera
 from camcal.errors import FileError, InvalidInput
 from camcal.formats.camera_file import CameraEntry, CameraFile, Transform
-from camcal.formats.cameras import bouguet
+from camcal.formats.cameras import bouguet, mat
 from camcal.formats.cameras.lenses import Lenses
 from camcal.formats.cameras.record import CAMERA, LEFT, RIGHT, CameraFormat, Given, Source
 from camcal.formats.cameras.syntax import json_text, json_values
@@ -67,20 +69,11 @@ def _values(source: Source) -> Values:
         return json_values(source)
     if source.text.startswith("MATLAB 7.3"):
         raise InvalidInput("is a MAT-file of version 7.3 (HDF5): save it with save(…, '-v7')", where=where)
-    from scipy.io import loadmat
-
     try:
-        stream: Any = io.BytesIO(files.read_bytes(source.path))
-        data = loadmat(stream, simplify_cells=True)
-    except Exception as error:  # a damaged file raises whatever its bytes lead to
+        data = mat.variables(files.read_bytes(source.path))
+    except (ValueError, IndexError, OverflowError, struct.error, zlib.error) as error:
         raise FileError("is truncated, or not a MAT-file of version 5 to 7", where=where) from error
-    return Values(Document(where, {key: _plain(item) for key, item in data.items() if key[:2] != "__"}, {}))
-
-
-def _plain(item: Any) -> Any:
-    if isinstance(item, dict):
-        return {key: _plain(each) for key, each in item.items()}
-    return item.tolist() if isinstance(item, np.ndarray) else item
+    return Values(Document(where, data, {}))
 
 
 def _first(values: Values, keys: Sequence[str]) -> Values | None:
