@@ -88,10 +88,13 @@ def check_lens(
     size = Counter(view.size for view in showing).most_common(1)[0][0]
     of_size = [view for view in showing if view.size == size]
     others = len(showing) - len(of_size)
-    if size == own.camera.image_size:
-        result = _check_lens(own, of_size, board, most_px)
-    else:
-        result = _check_size(own, of_size, board, size, most_px)
+    try:
+        if size == own.camera.image_size:
+            result = _check_lens(own, of_size, board, most_px)
+        else:
+            result = _check_size(own, of_size, board, size, most_px)
+    except InsufficientData as error:
+        result = Checked(NOT_SHOWN, error.message)
     notes = (f"{counted(others, 'image')} of another size left out",) if others else ()
     return replace(result, views=len(of_size), notes=notes + result.notes)
 
