@@ -155,8 +155,9 @@ def speed(folder: Path) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    for name, run in (("write", write), ("check", check), ("speed", speed)):
-        parser.add_argument(f"--{name}", type=Path, metavar="FOLDER", help=(run.__doc__ or "").strip())
+    parser.add_argument("--write", type=Path, metavar="FOLDER", help="write files and pixels")
+    parser.add_argument("--check", type=Path, metavar="FOLDER", help="read them with other programs")
+    parser.add_argument("--speed", type=Path, metavar="FOLDER", help="read all files below a folder with camcal")
     arguments = parser.parse_args()
     for name, run in (("write", write), ("check", check), ("speed", speed)):
         folder = getattr(arguments, name)

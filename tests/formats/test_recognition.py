@@ -4,6 +4,7 @@ import os
 import re
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -122,3 +123,14 @@ def test_a_family_is_loaded_only_where_a_file_is_of_it(tmp_path):
     families = {each.rpartition(".")[2] for each in loaded.split()} & set(FORMATS.modules.values())
     assert families == {"opencv"}
     assert others == ""
+
+
+@pytest.mark.parametrize("filling", ["\n", " ", "<sensor ", "a = [", "[a]\n", '"x": ', "1 ", "- ", "cam0:\n"])
+def test_no_text_is_searched_for_long(tmp_path, filling):
+    path = tmp_path / "a.txt"
+    path.write_text(filling * ((1 << 20) // len(filling)))
+    started = time.process_time()
+    row = recognise(cameras.source_of(path).text)
+    if row is None or row.name not in ("kalibr", "ros", "opencv"):
+        assert refusal(path) is not None
+    assert time.process_time() - started < 20.0  # quadratic searches take minutes

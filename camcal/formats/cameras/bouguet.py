@@ -26,7 +26,7 @@ LENSES = Lenses("kc opencv5 fx fy cx cy k1 k2 p1 p2 k3", instead="calibrate ther
 
 def read(sources: Sequence[Source], given: Given) -> CameraFile:
     """Return the camera, or the two of a pair; raises InvalidInput, MissingSize."""
-    pattern = r"^\s*(\w+)\s*=\s*(\[[^\]]*\]|[-+\d.eE]+)\s*;"
+    pattern = r"^[ \t]*(\w+)[ \t]*=[ \t]*(\[[^\]]*\]|[-+\d.eE]+)[ \t]*;"
     return camera_of(assigned(sources[0]._replace(text=re.sub(r"%.*", "", sources[0].text)), pattern), given)
 
 

@@ -26,7 +26,7 @@ LENSES = Lenses("""
 
 def read(sources: Sequence[Source], given: Given) -> CameraFile:
     """Return the cameras cam0, cam1, …; raises InvalidInput, MissingSize for rectified ones without --size."""
-    values = assigned(sources[0], r"^\s*(\w+):\s*(.+?)\s*$")
+    values = assigned(sources[0], r"^[ \t]*(\w+):(.*)$")
     raw = [index for index in range(4) if f"K_0{index}" in values]
     where = values.document.where
     cameras, places = {}, {}

@@ -22,7 +22,7 @@ _MILLIMETRES = 1e3
 
 def read(sources: Sequence[Source], given: Given) -> CameraFile:
     """Return the pair; raises InvalidInput, MissingSize without width and height."""
-    values = assigned(sources[0], r"^\s*(\w+)\s*=\s*(.+?)\s*$")
+    values = assigned(sources[0], r"^[ \t]*(\w+)[ \t]*=(.*)$")
     size = (values.side("width"), values.side("height")) if "width" in values else None
     size = given.size(size, values.document.where)
     sides = [(LEFT, "cam0"), (RIGHT, "cam1")]

@@ -36,7 +36,7 @@ _OF_PAIR = Lenses(
 
 def read(sources: Sequence[Source], given: Given) -> CameraFile:
     """Return the cameras of a settings file with their transforms; raises InvalidInput, MissingSize, FileError."""
-    text = re.sub(r"^(\s*[\w.]+):(?=[\[\d\"-])", r"\1: ", sources[0].text, flags=re.MULTILINE)  # OpenCV needs no blank
+    text = re.sub(r"^([ \t]*[\w.]+):(?=[\[\d\"-])", r"\1: ", sources[0].text, flags=re.MULTILINE)  # as OpenCV
     values = Values(parse_foreign(text, str(sources[0].path)))
     if "LEFT.K" in values:
         return _older_pair(values, given)

@@ -10,13 +10,14 @@ from typing import Any
 from xml.etree import ElementTree as ET
 from xml.sax.saxutils import escape
 
-from camcal.errors import FileError
+from camcal.errors import FileError, InvalidInput
 from camcal.formats.cameras.record import Source
 from camcal.formats.cameras.values import Values
 from camcal.formats.documents import Document
 from camcal.formats.emit import exact_text
 
 _LARGEST_DEPTH = 64
+_LARGEST_TEXT = 100_000  # characters of a file of a few numbers
 
 
 def json_values(source: Source) -> Values:
@@ -121,10 +122,15 @@ def xml_lines(items: Mapping[str, Any], indent: str = "") -> Iterator[str]:
             yield f"{indent}<{name}>{text}</{name}>"
 
 
-def assigned(source: Source, pattern: str = r"^\s*([\w.]+)\s*[:=]\s*(.+?);?\s*$") -> Values:
-    """Return the values of lines KEY = NUMBERS or KEY: NUMBERS, rows of a matrix between semicolons."""
+def assigned(source: Source, pattern: str) -> Values:
+    """Return the values of lines KEY = NUMBERS or KEY: NUMBERS, rows of a matrix between semicolons.
+
+    pattern: of a key and its numbers. Raises InvalidInput for a file too large to be one of these.
+    """
+    if len(source.text) > _LARGEST_TEXT:
+        raise InvalidInput(f"more than {_LARGEST_TEXT} characters, which no such file has", where=str(source.path))
     data: dict[str, Any] = {}
     for key, text in re.findall(pattern, source.text, re.MULTILINE):
-        rows = [row.split() for row in re.split(r"[;\n]", text.strip("[]").replace(",", " ")) if row.strip()]
+        rows = [row.split() for row in re.split(r"[;\n]", text.strip(" \t\r[]").replace(",", " ")) if row.strip()]
         data[key] = rows[0] if len(rows) == 1 else rows
     return Values(Document(str(source.path), data, {}))

@@ -2,10 +2,10 @@
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -19,12 +19,13 @@ from camcal.parsing import did_you_mean
 from camcal.report.table import held_by_prior_words, length_unit, projection_words, value_and_std
 from camcal.run.outputs import writes
 from camcal.targets.board import CLASSES, RATIOS, Surface
-from camcal.tasks.calibration import errors_at_range
-from camcal.tasks.calibration.errors_at_range import RangeErrors, errors_of_file
 from camcal.tasks.gates import stated
 from camcal.tasks.options import InspectOptions
 from camcal.tasks.rigs.inspect_rig import RigInspection, draw_rig, inspect_rig
 from camcal.tasks.rigs.inspect_rig import as_data as rig_data
+
+if TYPE_CHECKING:
+    from camcal.tasks.calibration.errors_at_range import RangeErrors
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +40,7 @@ class Inspection:
     file: CameraFile
     fields: Mapping[str, tuple[float, float, float]]
     rig: RigInspection | None = None
-    errors: tuple[RangeErrors, ...] = ()
+    errors: "tuple[RangeErrors, ...]" = ()
 
     @cached_property
     def document(self) -> documents.Document:
@@ -68,9 +69,13 @@ def inspect(options: InspectOptions) -> Inspection:
         if rig is None:
             raise InvalidInput("no picture: it needs a file of several cameras that transforms join", where=str(path))
         draw_rig(rig, options.output)
-    asked = options.measured
-    errors = tuple(errors_of_file(file, rig, each, asked.length, camera) for each in asked.distances)
-    return Inspection(path, file, {name: _field_deg(file.cameras[name]) for name in names}, rig, errors)
+    found = Inspection(path, file, {name: _field_deg(file.cameras[name]) for name in names}, rig)
+    if not (asked := options.measured).distances:
+        return found
+    from camcal.tasks.calibration.errors_at_range import errors_of_file  # most inspections do without
+
+    errors = (errors_of_file(file, rig, each, asked.length, camera) for each in asked.distances)
+    return replace(found, errors=tuple(errors))
 
 
 def _field_deg(entry: CameraEntry) -> tuple[float, float, float]:
@@ -217,5 +222,5 @@ def document(inspection: Inspection) -> dict[str, Any]:
         "stated": {name: stated(inspection.file.cameras[name]) for name in inspection.fields},
         "field_of_view_deg": {name: list(angles) for name, angles in inspection.fields.items()},
         "rig": rig_data(inspection.rig),
-        "errors": [errors_at_range.as_data(each) for each in inspection.errors],
+        "errors": [each.as_data() for each in inspection.errors],
     }
