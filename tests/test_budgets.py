@@ -42,10 +42,10 @@ LINES = {
     "stereo": 5116,
     "system": 281,
     "targets": 7063,
-    "tasks": 23532,
+    "tasks": 23541,
     "urls": 99,
 }
-PARTS = {"modules": 448, "records": 679, "records named in one module": 198, "short functions with one reference": 493}
+PARTS = {"modules": 448, "records": 679, "records named in one module": 198, "short functions with one reference": 494}
 PASSED = {"modules": 149, "functions": 1130, "records": 128}  # from a table of detections to a camera file
 SHORT = 5  # lines of a function's body, which could as well stand where it is called
 

@@ -38,30 +38,6 @@ class RangeErrors(Brief):
     cameras: Mapping[str, CameraErrors]
     pairs: tuple[PairErrors, ...] = ()
 
-    def as_data(self) -> dict[str, Any]:
-        """Return the errors at a distance as plain data; m, px."""
-        return {
-            "distance_m": self.distance,
-            "length_m": self.length,
-            "cameras": {
-                name: {
-                    "point": _size(own.point, "px"),
-                    "placed_by_boards": own.by_boards,
-                    "pixel_m": own.pixel,
-                    "length": _size(own.length, "m"),
-                }
-                for name, own in self.cameras.items()
-            },
-            "pairs": [
-                {
-                    "cameras": [pair.first, pair.second],
-                    "depth": _size(pair.depth, "m"),
-                    "length": _size(pair.length, "m"),
-                }
-                for pair in self.pairs
-            ],
-        }
-
 
 def errors_at_range(
     calibration: CameraFile | Path | str, distance: float, length: float | None = None, camera: str | None = None
@@ -141,6 +117,31 @@ def lines(found: RangeErrors) -> Iterator[str]:
     yield f"one pixel spans {spans} at {found.distance:g} m in the middle of the image"
     if found.pairs:
         yield f"matching: {DISPARITY_PX:g} px of disparity, included in the 95 % bound"
+
+
+def as_data(found: RangeErrors) -> dict[str, Any]:
+    """Return the errors at a distance as plain data; m, px."""
+    return {
+        "distance_m": found.distance,
+        "length_m": found.length,
+        "cameras": {
+            name: {
+                "point": _size(own.point, "px"),
+                "placed_by_boards": own.by_boards,
+                "pixel_m": own.pixel,
+                "length": _size(own.length, "m"),
+            }
+            for name, own in found.cameras.items()
+        },
+        "pairs": [
+            {
+                "cameras": [pair.first, pair.second],
+                "depth": _size(pair.depth, "m"),
+                "length": _size(pair.length, "m"),
+            }
+            for pair in found.pairs
+        ],
+    }
 
 
 def _size(size: ErrorSize | None, unit: str) -> dict[str, float] | None:

@@ -214,6 +214,14 @@ def image_rows(file: CameraFile) -> list[list[str]]:
     return rows
 
 
+def _errors_data(errors: "tuple[RangeErrors, ...]") -> list[dict[str, Any]]:
+    if not errors:
+        return []
+    from camcal.tasks.calibration.errors_at_range import as_data
+
+    return [as_data(each) for each in errors]
+
+
 def document(inspection: Inspection) -> dict[str, Any]:
     """Return the inspection as plain data for --json: the file as it stands, and what follows from it."""
     return {
@@ -222,5 +230,5 @@ def document(inspection: Inspection) -> dict[str, Any]:
         "stated": {name: stated(inspection.file.cameras[name]) for name in inspection.fields},
         "field_of_view_deg": {name: list(angles) for name, angles in inspection.fields.items()},
         "rig": rig_data(inspection.rig),
-        "errors": [each.as_data() for each in inspection.errors],
+        "errors": _errors_data(inspection.errors),
     }
