@@ -82,7 +82,8 @@ def some(views, count, rng):
 def real(folder, names, splits):
     """Print the shares of drifted by set and in all, and what a check costs."""
     total, costs = defaultdict(list), []
-    print("set                    same 1/3/all        moved 1/3/all       other 1/3/all      checks")
+    print("| drifted, % | same: 1 | 3 | all | moved: 1 | 3 | all | other: 1 | 3 | all | divisions |")
+    print("|" + "---|" * 11)
     for name in names:
         found = defaultdict(list)
         make_table(folder, name)
@@ -112,21 +113,25 @@ def real(folder, names, splits):
                     costs.append(time.process_time() - start)
                     found[case, count].append(verdict)
                     total[case, count].append(verdict)
-        print(f"{name:22}", *(shares(found, case) for case in ("same", "moved", "other")), len(found["same", 1]))
-    print(f"{'all':22}", *(shares(total, case) for case in ("same", "moved", "other")), len(total["same", 1]))
+        print_row(name, found)
+    print_row("all", total)
     same = [verdict for (case, _), own in total.items() if case == "same" for verdict in own]
-    print(f"drifted of {len(same)} that are the same: {100 * np.mean([each == DRIFTED for each in same]):.1f} %")
-    print("verdicts:", {case: dict(Counter(own)) for (case, count), own in total.items() if count is None})
+    share = np.mean([each == DRIFTED for each in same])
+    print(f"\nDrifted of {len(same)} checks of the same camera: {100 * share:.1f} %.")
+    for (case, count), own in total.items():
+        if count is None:
+            print(f"All images, {case}: {', '.join(f'{words} {number}' for words, number in Counter(own).items())}.")
     print(f"CPU of a check: median {np.median(costs):.2f} s, largest {max(costs):.2f} s")
 
 
-def shares(found, case):
-    """Return the share of drifted for every number of images, in percent."""
-    parts = []
-    for count in COUNTS:
-        own = found[case, count]
-        parts.append(f"{100 * np.mean([each == DRIFTED for each in own]):4.0f}" if own else "   -")
-    return " /".join(parts) + "   "
+def print_row(name, found):
+    """Print the share of drifted for every case and number of images, in percent."""
+    cells = []
+    for case in ("same", "moved", "other"):
+        for count in COUNTS:
+            own = found[case, count]
+            cells.append(f"{100 * np.mean([each == DRIFTED for each in own]):.0f}" if own else "")
+    print(f"| {name} | {' | '.join(cells)} | {len(found['same', 1])} |", flush=True)
 
 
 LENSES = {
@@ -162,7 +167,8 @@ def seen(rig, count, seed, noise):
 
 def simulated(seeds):
     """Print the shares of drifted by model, noise, views of the calibration and new images."""
-    print("model            noise  views  new   still: drifted  found of the smallest stated   px (median)")
+    print("| model | noise, px | views | new images | drifted, % | stated drift found, % | that is, px |")
+    print("|" + "---|" * 7)
     for model in LENSES:
         for noise in (0.05, 0.3):
             for views in (10, 20, 40):
@@ -182,11 +188,8 @@ def simulated(seeds):
                         rows[new].append((still.verdict == DRIFTED, found.chance < 1e-3, still.drift.smallest_px))
                 for new, own in rows.items():
                     alarms, power, px = np.array(own, float).T
-                    print(
-                        f"{model:16} {noise:5g}  {views:5}  {new:3}   {100 * alarms.mean():10.0f} %  "
-                        f"{100 * power.mean():16.0f} %  {np.median(px):20.2f}",
-                        flush=True,
-                    )
+                    cells = model, noise, views, new, f"{100 * alarms.mean():.0f}", f"{100 * power.mean():.0f}"
+                    print(f"| {' | '.join(map(str, cells))} | {np.median(px):.2f} |", flush=True)
 
 
 def smallest(own, drift):
@@ -201,7 +204,8 @@ def mounts(seeds):
     """
     turned = Transform(cv2.Rodrigues(np.array([0, np.radians(0.3), 0]))[0] @ APART.rotation, APART.translation)
     wider = Transform(APART.rotation, 1.03 * APART.translation)
-    print("pairs, 20 views each, 6 new captures: verdicts and causes")
+    print("\n| pair, 6 new captures | noise, px | verdicts |")
+    print("|" + "---|" * 3)
     for noise in (0.05, 0.3):
         for words, rig in (
             ("as it was", rig_of("opencv5")),
@@ -211,7 +215,8 @@ def mounts(seeds):
             counts = Counter()
             for seed in range(seeds):
                 counts[one_mount(rig, seed, noise)] += 1
-            print(f"{words:16} noise {noise:g}: {dict(counts)}", flush=True)
+            said = ", ".join(f"{verdict} {number}" for verdict, number in counts.items())
+            print(f"| {words} | {noise:g} | {said} |", flush=True)
 
 
 def one_mount(rig, seed, noise):

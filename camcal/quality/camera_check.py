@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from math import degrees, pi
 
@@ -17,10 +18,22 @@ from camcal.errors import InsufficientData, InvalidInput
 from camcal.geometry.pose import Pose
 from camcal.messages import counted
 from camcal.quality.camera_comparison import MOST_SHIFT, MOST_ZOOM
-from camcal.quality.camera_drift import Drift, Estimated, LensDrift, PlaceDrift, drift_grid, lens_drift, place_drift
+from camcal.quality.camera_drift import (
+    Drift,
+    Estimated,
+    LensDrift,
+    PlaceDrift,
+    drift_grid,
+    focal_axis,
+    lens_drift,
+    place_drift,
+)
+from camcal.quality.forecast import free_parameters
 from camcal.quality.mount import MountMovement, mount_movement
 from camcal.quality.projection_uncertainty import in_polygon
+from camcal.quality.view_advice import Known, SuggestedView, telling_view
 from camcal.solve.losses import variance_ratio_beyond
+from camcal.solve.steps import SingularError
 from camcal.targets.detection import BoardDetection
 
 VALID, DRIFTED, NOT_SHOWN = "valid", "drifted", "not_shown"
@@ -39,7 +52,8 @@ class Checked:
     """What a check has found of one camera, or of where one stands.
 
     verdict: one of WORDS. cause: of a drift. reason: the verdict's, in words. notes: on the images. limit_px: the drift
-    that counts. movement: of a camera against something that has not moved. views: the images that show the board.
+    that counts. movement: of a camera against something that has not moved. next_view: that would show most, where
+    a drift was not shown. views: the images that show the board.
     """
 
     verdict: str
@@ -49,6 +63,7 @@ class Checked:
     drift: Drift | None = None
     limit_px: float | None = None
     movement: MountMovement | None = None
+    next_view: SuggestedView | None = None
     notes: tuple[str, ...] = ()
 
     @property
@@ -88,10 +103,13 @@ def check_lens(
     size = Counter(view.size for view in showing).most_common(1)[0][0]
     of_size = [view for view in showing if view.size == size]
     others = len(showing) - len(of_size)
-    if size == own.camera.image_size:
-        result = _check_lens(own, of_size, board, most_px)
-    else:
-        result = _check_size(own, of_size, board, size, most_px)
+    try:
+        if size == own.camera.image_size:
+            result = _check_lens(own, of_size, board, most_px)
+        else:
+            result = _check_size(own, of_size, board, size, most_px)
+    except InsufficientData as error:
+        result = Checked(NOT_SHOWN, error.message)
     notes = (f"{counted(others, 'image')} of another size left out",) if others else ()
     return replace(result, views=len(of_size), notes=notes + result.notes)
 
@@ -110,7 +128,7 @@ def _check_lens(
         reason = f"corners are {sigma:.2g} px from where this camera images the board: noise {own.sigma_px:.2g} px then"
         return replace(result, reason=reason, cause=OTHER)
     if not drift.beyond(most_px):
-        return _unmoved(result, drift)
+        return _with_next_view(_unmoved(result, drift), own, board, found.information)
     for words, turned in _turned(views, board):
         if _fits(own, turned, board, most_px):
             return replace(result, reason=f"the images are {words}: without that it still holds", cause=IMAGE)
@@ -179,11 +197,22 @@ def _unmoved(result: Checked, drift: Drift) -> Checked:
     if drift.smallest_px > limit:
         reason = (
             f"these images would show a drift of {drift.smallest_px:.2g} px or more (limit {limit:.2g} px): add "
-            "images, with the board tilted by 20° to 45° and in the corners of the image, or raise --max-drift"
+            "images, or raise --max-drift"
         )
         return replace(result, verdict=NOT_SHOWN, reason=reason)
     reason = f"moved by {_value(drift.rms_px)} px RMS (limit {limit:.2g} px)"
     return replace(result, verdict=VALID, reason=f"{reason}; {drift.smallest_px:.2g} px would have shown")
+
+
+def _with_next_view(result: Checked, own: CheckedCamera, board: KnownBoard, information: Array) -> Checked:
+    """Return a result with the view that would show most of a change of the focal length, where that was not shown."""
+    if result.verdict != NOT_SHOWN or own.sigma_px == 0:
+        return result
+    known = Known(own.camera, board.surface, own.sigma_px)
+    with suppress(InsufficientData, SingularError):  # no view of the whole board fits the image
+        view = telling_view(known, information, focal_axis(own.camera)[free_parameters(own.camera)])
+        return replace(result, next_view=view)
+    return result
 
 
 def _inside(own: CheckedCamera) -> Array | None:

@@ -211,6 +211,11 @@ def _axes(camera: Camera) -> Array:
     return result
 
 
+def focal_axis(camera: Camera) -> Array:
+    """Return what a relative change of the focal length does to the parameters (K,)."""
+    return _axes(camera)[:, 0]
+
+
 def _rows(camera: Camera) -> Array:
     """Return the derivatives (3, K) of the relative focal length and of the principal point by the parameters."""
     axes = _axes(camera).T.copy()

@@ -105,20 +105,21 @@ class Candidates:
         """The poses camera_T_board."""
         return [Pose(*pair) for pair in zip(self.rotations, self.translations, strict=True)]
 
+    def information(self, known: Known) -> Array:
+        """Return what each of them says (V, D, D) of the free lens parameters and the terms of the board."""
+        count = known.surface.board.count
+        ids, present = np.tile(np.arange(count), (len(self.pixels), 1)), np.ones(self.pixels.shape[:2])
+        exact = Observations(ids, np.moveaxis(self.pixels, 2, 0).copy(), present)
+        return view_information(known.camera, known.surface, exact, self.poses, known.noise_px)
+
 
 def advise(known: Known, count: int = 3, seen: Sequence[tuple[BoardDetection, Pose]] = ()) -> ViewAdvice:
     """Return the views to take next, and of those that were `seen`, with camera_T_board, the ones to leave out.
 
     Raises InsufficientData where no view of the board fits the image, or the lens is not known but by its model.
     """
-    camera, surface = known.camera, known.surface
     found = candidates(known)
-    exact = Observations(
-        np.tile(np.arange(surface.board.count), (len(found.poses), 1)),
-        np.moveaxis(found.pixels, 2, 0).copy(),
-        np.ones(found.pixels.shape[:2]),
-    )
-    information = known.noise_share * view_information(camera, surface, exact, found.poses, known.noise_px)
+    information = known.noise_share * found.information(known)
     root, metric = _prior_root(known), _image_metric(known)
     lens = len(metric)
     metric = root[:lens].T @ metric @ root[:lens]
@@ -127,6 +128,20 @@ def advise(known: Known, count: int = 3, seen: Sequence[tuple[BoardDetection, Po
     views = [_suggested(found, index, std) for index, std in zip(chosen, stds, strict=True)]
     spared, rise = _spared(known, [*seen]) if len(seen) > _KEPT else ((), 0.0)
     return ViewAdvice(float(np.sqrt(np.trace(metric) / 2)), tuple(views), spared, rise)
+
+
+def telling_view(known: Known, information: Array, axis: Array) -> SuggestedView:
+    """Return the view beside others that shows best how a lens has changed along an axis (F,) of its free parameters.
+
+    information: (F, F) of the others. std_px: 0, as nothing is estimated. Raises as `advise`.
+    """
+    found = candidates(known)
+    count = len(axis)
+    total = information + found.information(known)[:, :count, :count]
+    free = free_parameters(known.camera)
+    covariance = np.asarray(known.camera.covariance)[np.ix_(free, free)]
+    seen = np.linalg.solve(np.eye(count) + total @ covariance, (total @ axis)[..., None])
+    return _suggested(found, int(np.argmax(seen[..., 0] @ axis)), 0.0)
 
 
 def _prior_root(known: Known) -> Array:

@@ -112,6 +112,23 @@ def test_images_that_could_not_show_a_drift_say_which_they_would_have(known):
     assert "none of 1 image shows 4 corners" in check_lens(own, few, board).reason
 
 
+def test_the_view_that_is_named_shows_more_than_others(known):
+    own, board = known
+    rng = np.random.default_rng(41)
+    poses = views(lens(), PRINTED, 8, rng=rng)
+
+    def smallest(*chosen):
+        new = observe(lens(), PRINTED, chosen, noise_px=NOISE, rng=np.random.default_rng(42))[0].views
+        return check_lens(own, new, board, most_px=0.01)
+
+    first = smallest(poses[0])
+    assert first.verdict == NOT_SHOWN
+    named = smallest(poses[0], first.next_view.pose).drift.smallest_px
+    others = [smallest(poses[0], pose).drift.smallest_px for pose in poses[1:]]
+    assert named < min(others)
+    assert check_lens(own, seen(lens(), 43, 10), board).next_view is None
+
+
 def test_the_smallest_drift_that_is_stated_is_found_in_nine_of_ten_cases():
     found, poses = [], views(lens("opencv4"), PRINTED, 2, rng=np.random.default_rng(40))
     for seed in range(15):

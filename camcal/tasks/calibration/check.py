@@ -35,11 +35,13 @@ from camcal.quality.camera_check import (
     usable,
 )
 from camcal.quality.camera_drift import LensDrift, PlaceDrift
+from camcal.quality.view_advice import Known
 from camcal.report.table import Column
 from camcal.run.outputs import claim, writes
 from camcal.run.paths import split_address
 from camcal.targets.board import Board, Surface
 from camcal.targets.detection import BoardDetection
+from camcal.tasks.calibration.advise import pose_words
 from camcal.tasks.calibration.board_views import board_views
 from camcal.tasks.calibration.check_options import CheckOptions
 from camcal.tasks.given_camera import require_no_image
@@ -113,7 +115,7 @@ def check(options: CheckOptions, progress: Progress = SILENT) -> CheckReport:
     found: dict[str, Checked] = {}
     with stage(progress, "checking"):
         for each, own in seen.views.items():
-            found[each] = check_lens(known[each], own, shape, options.most_px)
+            found[each] = _with_advice(check_lens(known[each], own, shape, options.most_px), known[each], shape)
         found |= _check_places(seen.rows, file, known, shape, found, options.most_px)
     report = CheckReport(found, seen.warnings, outputs)
     warn_of([Message("check_image", note, {}, each) for each, own in found.items() for note in own.notes], progress)
@@ -196,6 +198,14 @@ def _checked(name: str, entry: CameraEntry, file: CameraFile, where: str) -> Che
         np.zeros((0, 2)) if region is None else region.polygon,
         float(entry.quality.get("images_used") or image_counts(file.provenance)[0] or inf),
     )
+
+
+def _with_advice(checked: Checked, own: CheckedCamera, board: KnownBoard) -> Checked:
+    """Return a result whose reason says which image would show most."""
+    if checked.next_view is None:
+        return checked
+    words = pose_words(Known(own.camera, board.surface, own.sigma_px), checked.next_view)
+    return replace(checked, reason=f"{checked.reason}; most would show one with the board {words}")
 
 
 def _check_places(
