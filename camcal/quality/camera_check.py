@@ -153,7 +153,10 @@ def check_place(
     known = [own.known([row[place] for row in rows], captures) for place, own in enumerate(pair)]
     count = [len(own.camera.parameters) for own in pair]
     free = np.concatenate([known[0].free, count[0] + known[1].free, sum(count) + np.arange(6)])
-    found = examine(known, [Pose.identity(), pose], board)
+    try:
+        found = examine(known, [Pose.identity(), pose], board)
+    except InsufficientData as error:
+        return Checked(NOT_SHOWN, error.message, views=len(rows))
     if found is None:
         return Checked(DRIFTED, "corners lie where a lens images nothing", OTHER, len(rows))
     views = min(own.views for own in pair)

@@ -177,6 +177,10 @@ def test_a_camera_is_checked_against_what_has_not_moved(run, tmp_path):
     assert "to undo it" in found["reason"]
     assert found["turn_rad"]["value"] > 0.01 or found["shift_m"]["value"] > 0.005
     assert run("check", "camera.yaml", "nothing.csv", "--reference", reference)[0] == 4
+    bare = tmp_path / "bare.yaml"  # where a camera stands needs no covariance of its lens
+    native.write(bare, CameraFile({"camera": replace(cameras.read("camera.yaml").cameras["camera"], camera=LENS)}))
+    code, _, err = run("check", bare, "still.csv", "--reference", reference)
+    assert code == 0, err
 
 
 def test_what_cannot_be_checked_is_refused_with_what_to_do(run, tmp_path):

@@ -94,7 +94,6 @@ def check(options: CheckOptions, progress: Progress = SILENT) -> CheckReport:
     require_no_image(path)
     file = cameras.read(path, progress)
     entries = dict(file.cameras) if name is None else {name: cameras.select(file, name, str(path))}
-    known = {each: _checked(each, entry, file, str(path)) for each, entry in entries.items()}
     board = options.board
     if board is None and file.board_shape is not None:
         board = file.board_shape.board
@@ -104,8 +103,9 @@ def check(options: CheckOptions, progress: Progress = SILENT) -> CheckReport:
         raise InvalidInput("--plot draws the drift of one lens: name one, as FILE#NAME, or give --report")
     if options.reference is not None:
         report = CheckReport(_check_mounts(options, options.reference, board, progress), outputs=outputs)
-        _write(report, options, known)
+        _write(report, options, {})
         return report
+    known = {each: _checked(each, entry, file, str(path)) for each, entry in entries.items()}
     if options.tags is not None:
         raise InvalidInput("--tags goes with --reference: a lens is checked by a board")
     seen = _look(options, board, tuple(entries), progress)
@@ -247,7 +247,7 @@ def _check_mounts(
         shown if options.tags is None else None, options.tags, recursive=options.recursive, jobs=options.jobs
     )
     now = pnp(PnpOptions(options.camera, inputs=options.inputs, detection=detection), progress).poses
-    if "m" not in (before.unit, now.unit) or before.unit != now.unit:
+    if {before.unit, now.unit} != {"m"}:
         raise InvalidInput(
             "its poses are not in metres: give the size of the board or of the tags", where=str(reference)
         )
