@@ -32,7 +32,7 @@ LINES = {
     "options": 392,
     "parsing": 86,
     "progress": 149,
-    "quality": 3079,
+    "quality": 3081,
     "raw": 5042,
     "records": 155,
     "report": 6836,

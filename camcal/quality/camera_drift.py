@@ -20,7 +20,9 @@ from camcal.records import Brief
 from camcal.solve.losses import variance_ratio_beyond
 
 _LEAST = 0.1  # of what a calibration knows along a direction: less by new views tells nothing of a change
-_POWER = 0.9  # with which the smallest drift that is stated would have been found
+# With which the smallest drift that is stated would have been found, if none of it passed for errors within views: as
+# some does, nine of ten are found.
+_POWER = 0.97
 # What cannot be chance: with so small a chance of it, or with a smaller drift that is so many times its own deviation.
 _CERTAIN, _SIGMAS = 1e-5, 3.0
 LEAST_PX, LEAST_STD = 0.5, 3.0  # px, and standard deviations of the calibration, of a drift that counts by default
