@@ -62,8 +62,8 @@ class KnownCamera:
 
 @dataclass(frozen=True, eq=False)
 class KnownBoard:
-    """The board that new views show. surface: its shape by the calibration, None where that was of another board or
-    does not tell; views: the number of views of the calibration.
+    """The board that new views show. surface: its shape by the calibration, flat where that was of another board or
+    does not tell. views: of the calibration that its shape is from, 0 where it is not known.
     """
 
     surface: Surface

@@ -48,6 +48,10 @@ def inspect(options: InspectOptions, call: ImageCall) -> None:
     """
     path, _ = options.address
     is_camera = str(path) == STANDARD or path.suffix.lower() in CAMERA_SUFFIXES
+    if is_camera and path.suffix.lower() == ".bin":  # of COLMAP, or a frame without a header
+        from camcal.formats.cameras import is_camera_file
+
+        is_camera = is_camera_file(path)
     if is_camera or not _is_raw(path):  # what reads raw frames need not be loaded for a camera file
         _inspect_camera(options, call)
     else:

@@ -209,11 +209,12 @@ def _unmoved(result: Checked, drift: Drift) -> Checked:
 
 def _with_next_view(result: Checked, own: CheckedCamera, board: KnownBoard, information: Array) -> Checked:
     """Return a result with the view that would show most of a change of the focal length, where that was not shown."""
-    if result.verdict != NOT_SHOWN or own.sigma_px == 0:
+    free = free_parameters(own.camera)
+    if result.verdict != NOT_SHOWN or own.sigma_px == 0 or len(free) != len(information):
         return result
     known = Known(own.camera, board.surface, own.sigma_px)
     with suppress(InsufficientData, SingularError):  # no view of the whole board fits the image
-        view = telling_view(known, information, focal_axis(own.camera)[free_parameters(own.camera)])
+        view = telling_view(known, information, focal_axis(own.camera)[free])
         return replace(result, next_view=view)
     return result
 

@@ -280,7 +280,7 @@ class OtherGrid:
 
 
 _RIM_POINTS = 24
-_ROUNDS = 3  # the map is fitted to centres that are off at first; each round leaves a quarter or less
+_ROUNDS = 4  # the map is fitted to centres that are off at first; each round leaves a quarter or less
 _TYPICAL_RADIUS = 0.3  # pitches
 
 

@@ -10,17 +10,14 @@ def board_kinds() -> list[str]:
 
 def camera_formats() -> str:
     """Return the help of --to, which names the camera formats."""
-    from camcal.formats.cameras import FORMATS
-
-    names = ", ".join(form.name for form in FORMATS.values() if form.suffixes)
-    return f"Format of OUT where its name does not say it: {names}."
+    return f"Format of OUT where its name does not say it: {', '.join(format_names())}."
 
 
 def format_names() -> list[str]:
-    """Return the names of the camera formats."""
+    """Return the names of the camera formats that are written."""
     from camcal.formats.cameras import FORMATS
 
-    return list(FORMATS)
+    return [form.name for form in FORMATS.values() if form.suffixes]
 
 
 def lens_models() -> str:

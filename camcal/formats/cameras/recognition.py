@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 _CAMCHAIN = (r"^cam\d+[ \t]*:", r"^[ \t]+(?:camera_model|intrinsics)[ \t]*:")
 _COLMAP_MODELS = "(?:SIMPLE_|FULL_|RAD_TAN_)?(?:PINHOLE|RADIAL|OPENCV|FOV|THIN_|DIVISION|FISHEYE|EUCM|EQUIRECT)"
-# of the first camera: a count of 64 bits, then id, model, width and height, little endian
-_COLMAP_BINARY = r"\A[\s\S]{2}\0{6}[\s\S]{3}\0[\0-\x14]\0{3}[\s\S]{3}\0{5}[\s\S]{3}\0{5}"
+# a count of 64 bits, then id, model, width and height of the first camera, little endian, none of them 0 but the id
+_COLMAP_BINARY = r"\A(?!\0\0)[\s\S]{2}\0{6}[\s\S]{3}\0[\0-\x14]\0{3}(?:(?!\0{3})[\s\S]{3}\0{5}){2}"
 _OPENCV = (
     "camera_matrix|Camera_Matrix|cameraMatrix|CameraMatrix|camera_Matrix|intrinsic_matrix|K|mtx|M1|K1|cameraMatrix1"
 )

@@ -47,7 +47,7 @@ _LEAST_SPREAD = 1.0  # px by which disparities must vary to tell how rows depend
 
 # corners that are followed
 _TRACKED = 5e5  # pixels of the image they are followed in: of a larger one it is reduced to that
-_MOST, _FEW = 400, 150  # of such an image, in proportion of a smaller one, but not fewer
+_MOST = 400
 _QUALITY = 0.01  # of the best corner's
 _APART = 5.0  # px
 _BLOCK = 5
@@ -306,7 +306,7 @@ def track_corners(left: Array, right: Array, coarse: Array | None = None) -> Mat
     size = left.shape[1], left.shape[0]
     scale = min(1.0, sqrt(_TRACKED / left.size))
     first, second = (image if scale == 1 else resized(image, scale) for image in (left, right))
-    corners = _corners(first, np.isfinite(coarse), max(_FEW, round(_MOST * first.size / _TRACKED)))
+    corners = _corners(first, np.isfinite(coarse))
     guesses = corners - np.column_stack([_look_up(coarse, corners, first.shape) * scale, np.zeros(len(corners))])
     found, kept = _follow(first, second, corners, guesses.astype(np.float32))
     astray = np.hypot(*(found - guesses).T)
@@ -322,10 +322,10 @@ def track_corners(left: Array, right: Array, coarse: Array | None = None) -> Mat
     )
 
 
-def _corners(gray: Array, known: Array, most: int) -> Array:
+def _corners(gray: Array, known: Array) -> Array:
     """Return the corners (N, 2) float32 of an image where its reduced mask is set, pixels."""
     mask = cv2.resize(known.astype(np.uint8), gray.shape[::-1], interpolation=cv2.INTER_NEAREST)
-    corners = cv2.goodFeaturesToTrack(gray, most, _QUALITY, _APART, mask=mask, blockSize=_BLOCK)
+    corners = cv2.goodFeaturesToTrack(gray, _MOST, _QUALITY, _APART, mask=mask, blockSize=_BLOCK)
     return np.zeros((0, 2), np.float32) if corners is None else np.asarray(corners, np.float32).reshape(-1, 2)
 
 
