@@ -339,8 +339,8 @@ steps:
         ),
         (
             CHAIN.replace("first.xml]", "first.gif]"),
-            "5: steps.first: first.gif: .gif is not written; use .yaml, .yml, .xml, .json, .toml, .cameramodel, .txt, .bin, "
-            ".ini, .mat, .m",
+            "5: steps.first: first.gif: .gif is not written; use .yaml, .yml, .xml, .json, .toml, .cameramodel, "
+            + ".txt, .bin, .ini, .mat, .m",
         ),
         (
             CHAIN.replace("camera.yaml", '""'),
