@@ -15,6 +15,7 @@ from camcal.cli.call import ImageCall
 from camcal.cli.pipeline import StepCommands
 from camcal.options import declared
 from camcal.run.options import counts
+from camcal.tasks.options import CAMERA_SUFFIXES
 from camcal.tasks.pipelines.reading import KEYS, OF_ALL_STEPS, STEP_KEYS
 from camcal.tasks.pipelines.step import NOT_STEPS
 
@@ -339,8 +340,7 @@ steps:
         ),
         (
             CHAIN.replace("first.xml]", "first.gif]"),
-            "5: steps.first: first.gif: .gif is not written; use .yaml, .yml, .xml, .json, .toml, .cameramodel, "
-            + ".txt, .bin, .ini, .mat, .m",
+            f"5: steps.first: first.gif: .gif is not written; use {', '.join(CAMERA_SUFFIXES)}",
         ),
         (
             CHAIN.replace("camera.yaml", '""'),
