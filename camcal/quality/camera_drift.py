@@ -132,17 +132,21 @@ def lens_drift(known: KnownCamera, found: NewViews, inside: BoolArray | None, vi
     over = np.asarray(valid if inside is None or not (valid & inside).any() else valid & inside)
     axes = _axes(camera)[free]
     axes = axes[:, np.any(axes != 0, axis=0)]
-    chances = [_along(information, score, covariance, some, views) for some in (axes, axes[:, :1])]
+    # a lens of which only the distortion was estimated has none of them
+    tested = [some for some in (axes, axes[:, :1]) if some.shape[1]]
+    chances = [_along(information, score, covariance, some, views) for some in tested]
     chances.append(_chance(information, score, covariance, views))
     # the mean and the covariance of a change that lenses may undergo, given what is seen
     gain = prior @ np.linalg.inv(np.eye(len(free)) + information @ (prior + covariance))
     change, left = gain @ score, prior - gain @ information @ prior
     moved = by_lens @ change
-    focal, *centre = (_estimated(row, change, left) for row in _rows(camera)[:, free])
+    focal, *centre = (_estimate_of(row, change, left) for row in _rows(camera)[:, free])
     return LensDrift(
         *_extent(by_lens[over], moved[over], left),
         chance=min(1.0, len(chances) * min(chances)),
-        smallest_px=_smallest(information, covariance, axes[:, 0], by_lens[over], 1, CHANCE / len(chances)),
+        smallest_px=_smallest(information, covariance, axes[:, 0], by_lens[over], 1, CHANCE / len(chances))
+        if tested
+        else inf,
         calibration_px=_rms_std(by_lens[over], covariance),
         focal=focal,
         shift=(centre[0], centre[1]),
@@ -256,7 +260,7 @@ def _beyond(ratio: float, dof: int, share: float, views: float) -> float:
     return variance_ratio_beyond(ratio, dof, max(views - 1, 1) / max(share, 1e-9) ** 2)
 
 
-def _estimated(row: Array, change: Array, covariance: Array) -> Estimated:
+def _estimate_of(row: Array, change: Array, covariance: Array) -> Estimated:
     return Estimated(float(row @ change), sqrt(max(float(row @ covariance @ row), 0.0)))
 
 
