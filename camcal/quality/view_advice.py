@@ -250,8 +250,8 @@ def candidates(known: Known) -> Candidates:
     middle = np.array([*board.extent, 0.0]) / 2
     outline, aims = rim(board), np.column_stack([across, down]) * size - 0.5
     for _ in range(_STEPS):
-        rotations, translations = _placed(camera, aims, distances, turn, middle)
-        pixels, valid = _projected(camera, outline, rotations, translations)
+        rotations, translations = _place(camera, aims, distances, turn, middle)
+        pixels, valid = _project(camera, outline, rotations, translations)
         low, high = pixels.min(axis=1), pixels.max(axis=1)
         moved = aims + np.maximum(-low, 0) - np.maximum(high - size + 1, 0)
         aims = np.where(np.asarray(valid.all(axis=1))[:, None], moved, aims + 0.15 * ((size - 1) / 2 - aims))
@@ -260,11 +260,11 @@ def candidates(known: Known) -> Candidates:
         valid.all(axis=1)
         & (low > -1).all(axis=1)
         & (high < size).all(axis=1)
-        & _faced(outline, rotations, translations, board.z_sign)
+        & _faces_camera(outline, rotations, translations, board.z_sign)
     )
     if known.circle is not None:
         whole &= known.circle.contains(pixels.reshape(-1, 2)).reshape(len(whole), -1).all(axis=1)
-    corners, valid = _projected(camera, known.surface.points(), rotations, translations)
+    corners, valid = _project(camera, known.surface.points(), rotations, translations)
     whole &= valid.all(axis=1)
     if not whole.any():
         raise InsufficientData(
@@ -295,7 +295,7 @@ def rim(board: Board) -> Array:
     return np.pad(flat, ((0, 0), (0, 1)))
 
 
-def _placed(camera: Camera, aims: Array, distances: Array, turn: Array, middle: Array) -> tuple[Array, Array]:
+def _place(camera: Camera, aims: Array, distances: Array, turn: Array, middle: Array) -> tuple[Array, Array]:
     """Return rotations (V, 3, 3) and translations (V, 3) of boards whose middle is seen at pixels `aims` (V, 2)."""
     sight = camera.unproject(aims)
     rays = np.where(sight.valid[:, None], sight.directions, [0.0, 0.0, 1.0])
@@ -306,14 +306,14 @@ def _placed(camera: Camera, aims: Array, distances: Array, turn: Array, middle: 
     return rotations, distances[:, None] * rays - rotations @ middle
 
 
-def _projected(camera: Camera, points: Array, rotations: Array, translations: Array) -> tuple[Array, BoolArray]:
+def _project(camera: Camera, points: Array, rotations: Array, translations: Array) -> tuple[Array, BoolArray]:
     """Return the pixels (V, N, 2) of points (N, 3) of boards, and which are valid (V, N)."""
     found = camera.project((points @ np.swapaxes(rotations, 1, 2) + translations[:, None]).reshape(-1, 3))
     shape = len(rotations), len(points)
     return np.nan_to_num(found.pixels).reshape(*shape, 2), found.valid.reshape(shape)
 
 
-def _faced(points: Array, rotations: Array, translations: Array, z_sign: float) -> BoolArray:
+def _faces_camera(points: Array, rotations: Array, translations: Array, z_sign: float) -> BoolArray:
     """Return which boards (V,) are nowhere seen at too small an angle to their plane."""
     placed = points @ np.swapaxes(rotations, 1, 2) + translations[:, None]
     along = z_sign * np.einsum("vni,vi->vn", placed, rotations[:, :, 2]) / np.linalg.norm(placed, axis=2)

@@ -14,6 +14,7 @@ from camcal.options import (
     CROP,
     GENERAL,
     INPUT,
+    LENS,
     NUMBERS,
     OUTPUT,
     RAW_FRAMES,
@@ -29,7 +30,7 @@ from camcal.raw.names import MONO, PATTERNS
 from camcal.raw.options import NO_LAYOUT, GivenLayout
 from camcal.tasks.gates import NO_GATES, CameraGates
 from camcal.tasks.measured_at import NOWHERE, MeasuredAt
-from camcal.tasks.suggestions import board_kinds
+from camcal.tasks.suggestions import board_kinds, lens_model_names, lens_models
 
 CAMERA_SUFFIXES = (".yaml", ".yml", ".xml", ".json", ".toml", ".cameramodel", ".txt", ".bin", ".ini", ".mat", ".m")
 
@@ -127,6 +128,19 @@ BOARD_OPTION = Option(
     suggested=board_kinds,
 )
 BoardText = Annotated[str | None, BOARD_OPTION]
+DetectionsModel = Annotated[
+    str | None,
+    Option(
+        lambda: f"Lens model for detections: {lens_models()}. By default as 'camcal calibrate'.",
+        metavar="MODEL",
+        group=LENS,
+        suggested=lens_model_names,
+    ),
+]
+DetectionsSize = Annotated[
+    tuple[int, int] | None,
+    Option("Image size for a .vnl file, which does not contain it.", metavar="WxH", group=INPUT, type=SIZE),
+]
 ReportFile = Annotated[
     Path | None,
     Option(

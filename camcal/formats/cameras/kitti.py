@@ -5,15 +5,12 @@ metres. Source: the development kits of odometry and raw data.
 """
 
 from collections.abc import Sequence
-from pathlib import Path
-from typing import NoReturn
 
 import numpy as np
 
-from camcal.errors import InvalidInput
 from camcal.formats.camera_file import CameraEntry, CameraFile, Transform
 from camcal.formats.cameras.lenses import Lenses
-from camcal.formats.cameras.record import CameraFormat, Given, Source
+from camcal.formats.cameras.record import CameraFormat, Given, Source, read_only
 from camcal.formats.cameras.syntax import assigned
 from camcal.formats.cameras.values import Values
 from camcal.geometry.pose import JOINT, Pose
@@ -56,18 +53,13 @@ def _projection(values: Values, index: int) -> str:
     return f"P{index}" if f"P{index}" in values else f"P_rect_0{index}"
 
 
-def write(path: Path, _file: CameraFile) -> NoReturn:
-    """Raise InvalidInput."""
-    raise InvalidInput("KITTI's files are read, not written", where=str(path))
-
-
 FORMAT = CameraFormat(
     name="kitti",
     title="KITTI calib.txt",
     suffixes=(),
     models=LENSES.models,
     read=read,
-    write=write,
+    write=read_only("KITTI"),
     lenses=LENSES,
     poses="P: camera_T_cam0; R_0n, T_0n: camera_T_cam0",
 )

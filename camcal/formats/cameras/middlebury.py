@@ -4,15 +4,12 @@ Source: vision.middlebury.edu/stereo/data/scenes2014.
 """
 
 from collections.abc import Sequence
-from pathlib import Path
-from typing import NoReturn
 
 import numpy as np
 
-from camcal.errors import InvalidInput
 from camcal.formats.camera_file import CameraEntry, CameraFile, Transform
 from camcal.formats.cameras.lenses import Lenses
-from camcal.formats.cameras.record import LEFT, RIGHT, CameraFormat, Given, Source
+from camcal.formats.cameras.record import LEFT, RIGHT, CameraFormat, Given, Source, read_only
 from camcal.formats.cameras.syntax import assigned
 from camcal.geometry.pose import JOINT, Pose
 
@@ -33,18 +30,13 @@ def read(sources: Sequence[Source], given: Given) -> CameraFile:
     return CameraFile(cameras, {f"{RIGHT}{JOINT}{LEFT}": Transform(pose)} if len(cameras) == 2 else {})
 
 
-def write(path: Path, _file: CameraFile) -> NoReturn:
-    """Raise InvalidInput."""
-    raise InvalidInput("Middlebury's files are read, not written", where=str(path))
-
-
 FORMAT = CameraFormat(
     name="middlebury",
     title="Middlebury calib.txt",
     suffixes=(),
     models=LENSES.models,
     read=read,
-    write=write,
+    write=read_only("Middlebury"),
     lenses=LENSES,
     most_cameras=2,
     poses="baseline: right_T_left along x, mm",

@@ -4,7 +4,7 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, NoReturn
 
 import numpy as np
 
@@ -89,6 +89,15 @@ class CameraFormat:
     frames: frozenset[str] = frozenset()
     files: int = 1
     in_folder: bool = False
+
+
+def read_only(program: str) -> Callable[[Path, CameraFile], None]:
+    """Return what refuses to write files of a program, with InvalidInput."""
+
+    def refuse(path: Path, _file: CameraFile) -> NoReturn:
+        raise InvalidInput(f"{program}'s files are read, not written", where=str(path))
+
+    return refuse
 
 
 def opencv_usage(file: CameraFile) -> str:

@@ -4,9 +4,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from camcal.options import INPUT, LENS, METHOD, SIZE, Argument, Option, OptionsRecord
-from camcal.tasks.options import FIGURES, BoardText, Overwrite, output_option
-from camcal.tasks.suggestions import lens_model_names, lens_models
+from camcal.options import METHOD, Argument, Option, OptionsRecord
+from camcal.tasks.options import FIGURES, BoardText, DetectionsModel, DetectionsSize, Overwrite, output_option
 
 
 @dataclass(frozen=True)
@@ -21,19 +20,8 @@ class AdviseOptions(OptionsRecord):
         str, Argument("Camera file of camcal, or FILE#NAME, or detections file.", metavar="CAMERA|DETECTIONS")
     ]
     board: BoardText = None
-    model: Annotated[
-        str | None,
-        Option(
-            lambda: f"Lens model for detections: {lens_models()}. By default as 'camcal calibrate'.",
-            metavar="MODEL",
-            group=LENS,
-            suggested=lens_model_names,
-        ),
-    ] = None
-    image_size: Annotated[
-        tuple[int, int] | None,
-        Option("Image size for a .vnl file, which does not contain it.", metavar="WxH", group=INPUT, type=SIZE),
-    ] = None
+    model: DetectionsModel = None
+    image_size: DetectionsSize = None
     count: Annotated[
         int, Option("Number of views to suggest.", metavar="N", names="--views", group=METHOD, least=1, most=20)
     ] = 3

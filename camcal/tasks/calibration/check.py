@@ -105,7 +105,7 @@ def check(options: CheckOptions, progress: Progress = SILENT) -> CheckReport:
         report = CheckReport(_check_mounts(options, options.reference, board, progress), outputs=outputs)
         _write(report, options, {})
         return report
-    known = {each: _checked(each, entry, file, str(path)) for each, entry in entries.items()}
+    known = {each: _known_camera(each, entry, file, str(path)) for each, entry in entries.items()}
     if options.tags is not None:
         raise InvalidInput("--tags goes with --reference: a lens is checked by a board")
     seen = _look(options, board, tuple(entries), progress)
@@ -180,7 +180,7 @@ def check_camera(
     return check(CheckOptions(str(camera), tuple(map(str, images)), board, max_drift))
 
 
-def _checked(name: str, entry: CameraEntry, file: CameraFile, where: str) -> CheckedCamera:
+def _known_camera(name: str, entry: CameraEntry, file: CameraFile, where: str) -> CheckedCamera:
     """Return what a file says of one of its cameras; its covariance may be a part of that of the rig."""
     known = parameters_covariance(file)
     rows = [known.names.index(f"{name}.{each}") for each in entry.camera.model.parameter_names]

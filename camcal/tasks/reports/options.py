@@ -4,9 +4,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from camcal.options import INPUT, LENS, SIZE, Argument, Option, OptionsRecord
-from camcal.tasks.options import FOLDER, PAGE, BoardText, Overwrite, output_option
-from camcal.tasks.suggestions import lens_model_names, lens_models
+from camcal.options import Argument, OptionsRecord
+from camcal.tasks.options import FOLDER, PAGE, BoardText, DetectionsModel, DetectionsSize, Overwrite, output_option
 
 
 @dataclass(frozen=True)
@@ -19,19 +18,8 @@ class ReportOptions(OptionsRecord):
     file: Annotated[str, Argument("Camera file, rig file or detections file.", metavar="CAMERA|RIG|DETECTIONS")]
     output: Annotated[Path | None, output_option("Report, one HTML file.", PAGE, "FILE", required=True)] = None
     board: BoardText = None
-    model: Annotated[
-        str | None,
-        Option(
-            lambda: f"Lens model for detections: {lens_models()}. By default as 'camcal calibrate'.",
-            metavar="MODEL",
-            group=LENS,
-            suggested=lens_model_names,
-        ),
-    ] = None
-    image_size: Annotated[
-        tuple[int, int] | None,
-        Option("Image size for a .vnl file, which does not contain it.", metavar="WxH", group=INPUT, type=SIZE),
-    ] = None
+    model: DetectionsModel = None
+    image_size: DetectionsSize = None
     overwrite: Overwrite = False
 
 
