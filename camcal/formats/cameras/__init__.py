@@ -8,18 +8,21 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from camcal import files
 from camcal.cameras.model import Camera
 from camcal.errors import CamcalError, FileError, InvalidInput
 from camcal.formats.camera_file import CameraEntry, CameraFile
-from camcal.formats.cameras.nearest import EXACT, Nearest, prepared
 from camcal.formats.cameras.recognition import ROWS, Row, named, recognise
-from camcal.formats.cameras.record import CameraFormat, Given, Source
+from camcal.formats.cameras.record import ANY_FRAME, CameraFormat, Given, Source
 from camcal.formats.native import implausible
 from camcal.geometry.pose import frames_of
 from camcal.parsing import did_you_mean
 from camcal.progress import SILENT, Progress, warn_of
+
+if TYPE_CHECKING:
+    from camcal.formats.cameras.nearest import Nearest
 
 OWN = "camcal"
 
@@ -199,7 +202,7 @@ def _meant_by(path: Path) -> CameraFormat | Row | None:
     """Return the one format that a path can mean, a row that is not written, or None where it may mean several."""
     row = named(path.name)
     if row is not None:
-        return row if row.instead else FORMATS[row.name]
+        return FORMATS[row.name] if row.name else row
     known = _with_suffix(path)
     return known[0] if len(known) == 1 else None
 
@@ -232,15 +235,17 @@ def _left_out(file: CameraFile, form: CameraFormat) -> Iterator[str]:
     }
     yield from (name for name, there in held.items() if there and name not in form.keeps)
     every = [frame for name in file.transforms for frame in frames_of(name)]
-    for name in file.transforms:
+    for name in file.transforms if form.frames != ANY_FRAME else ():
         ends = [frame for frame in frames_of(name) if every.count(frame) == 1]
         if any(frame not in file.cameras and frame not in form.frames for frame in ends):
             yield name
 
 
-def write(path: Path, file: CameraFile, form: CameraFormat, nearest: Nearest = EXACT) -> None:
-    """Write a camera file in a format, every number with all its digits.
+def write(path: Path, file: CameraFile, form: CameraFormat, nearest: "Nearest | None" = None) -> None:
+    """Write a camera file in a format, every number with all its digits; by default its lenses exactly.
 
-    Raises InvalidInput as `prepared` does, and for what the format's own `write` says; FileError.
+    Raises InvalidInput as `nearest.prepared` does, and for what the format's own `write` says; FileError.
     """
-    form.write(path, prepared(file, form, str(path), nearest).file)
+    from camcal.formats.cameras.nearest import EXACT, prepared
+
+    form.write(path, prepared(file, form, str(path), nearest or EXACT).file)
