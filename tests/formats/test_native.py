@@ -261,7 +261,7 @@ def test_a_spline_is_written_with_its_knots_and_read_with_them(tmp_path):
     np.testing.assert_allclose(found.parameters, parameters, rtol=TWELVE_DIGITS)
     np.testing.assert_allclose(found.covariance, camera.covariance, rtol=TWELVE_DIGITS)
     (tmp_path / "b.yaml").write_text(text.replace("[7, 6]", "[7, 3]"), encoding="utf-8")
-    with pytest.raises(InvalidInput, match="distortion.dx_3_0: model 'splined_stereographic' has no 'dx_3_0' here"):
+    with pytest.raises(InvalidInput, match=r"distortion\.dx_3_0: model 'splined_stereographic' has no 'dx_3_0' here"):
         native.read(tmp_path / "b.yaml")
     (tmp_path / "b.yaml").write_text(text.replace("[7, 6]", "[7, 0]"), encoding="utf-8")
     with pytest.raises(InvalidInput, match=r"cam.configuration: knots \[7, 0\]: write \[columns, rows\] from 3 to 100"):
