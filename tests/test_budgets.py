@@ -17,13 +17,13 @@ LINES = {
     "__init__": 37,
     "__main__": 6,
     "arrays": 42,
-    "calibrate": 7710,
-    "cameras": 2314,
+    "calibrate": 7715,
+    "cameras": 2700,
     "cli": 3637,
     "errors": 137,
-    "estimate": 8714,
+    "estimate": 8715,
     "files": 398,
-    "formats": 12109,
+    "formats": 12166,
     "geometry": 963,
     "images": 2158,
     "messages": 228,
@@ -45,8 +45,8 @@ LINES = {
     "tasks": 23537,
     "urls": 99,
 }
-PARTS = {"modules": 451, "records": 680, "records named in one module": 199, "short functions with one reference": 493}
-PASSED = {"modules": 151, "functions": 1131, "records": 128}  # from a table of detections to a camera file
+PARTS = {"modules": 452, "records": 683, "records named in one module": 202, "short functions with one reference": 493}
+PASSED = {"modules": 151, "functions": 1139, "records": 129}  # from a table of detections to a camera file
 SHORT = 5  # lines of a function's body, which could as well stand where it is called
 
 
