@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 from camcal import files
 from camcal.cameras.catalogue import MODELS
+from camcal.cameras.identities import same_lens
 from camcal.cameras.model import Camera
 from camcal.errors import CamcalError, FileError, InvalidInput
 from camcal.formats.camera_file import CameraEntry, CameraFile
@@ -244,10 +245,13 @@ def prepared(file: CameraFile, form: CameraFormat, where: str, max_error_px: flo
 
 def _exact(camera: Camera, form: CameraFormat) -> Camera | None:
     """Return a camera in the lens model that a format writes it as, None if that has none which is the same."""
-    if form.lenses is None:
-        return expressed(camera, form.models)
-    row = form.lenses.row(camera)
-    return None if row is None else expressed(camera, (row.model, *form.models))
+    for same in same_lens(camera):
+        row = form.lenses.row(same) if form.lenses is not None else None
+        if row is not None or form.lenses is None:
+            found = expressed(same, (row.model, *form.models) if row is not None else form.models)
+            if found is not None:
+                return found
+    return None
 
 
 def _nearest(camera: Camera, name: str, form: CameraFormat, max_error_px: float | None, where: str) -> "Refit":
