@@ -17,13 +17,13 @@ LINES = {
     "__init__": 37,
     "__main__": 6,
     "arrays": 42,
-    "calibrate": 7710,
-    "cameras": 2314,
+    "calibrate": 7724,
+    "cameras": 2786,
     "cli": 3637,
     "errors": 137,
     "estimate": 8714,
     "files": 398,
-    "formats": 12109,
+    "formats": 12126,
     "geometry": 963,
     "images": 1882,
     "messages": 228,
@@ -45,8 +45,8 @@ LINES = {
     "tasks": 23528,
     "urls": 99,
 }
-PARTS = {"modules": 449, "records": 679, "records named in one module": 198, "short functions with one reference": 494}
-PASSED = {"modules": 149, "functions": 1130, "records": 128}  # from a table of detections to a camera file
+PARTS = {"modules": 453, "records": 688, "records named in one module": 206, "short functions with one reference": 494}
+PASSED = {"modules": 153, "functions": 1144, "records": 136}  # from a table of detections to a camera file
 SHORT = 5  # lines of a function's body, which could as well stand where it is called
 
 
