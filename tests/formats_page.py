@@ -21,7 +21,8 @@ _LENSES, _FORMATS, _END = "<!-- lens models -->\n", "<!-- camera formats -->\n",
 def row(model: CameraModel) -> str:
     """Return a model's row of the table."""
     others = ", ".join(f"`{alias}`" for alias in model.aliases)
-    parameters = " ".join(name for name in model.parameter_names if name not in CORE)
+    names = [name for name in model.parameter_names if name not in CORE]
+    parameters = " ".join([*names[:4], "…", names[-1]] if model.configuration else names)
     return f"| `{model.name}` | {parameters or 'none'} | {model.summary} | {others} |"
 
 

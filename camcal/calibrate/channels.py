@@ -104,7 +104,11 @@ def aberration(main: Camera, lens: ColourLens) -> Aberration:
     rays = main.unproject(pixels)
     seen = lens.camera.model.project_with_jacobians(lens.camera.parameters, rays.directions)
     both = rays.valid & seen.valid
-    pixels, moved, by_lens = pixels[both], seen.pixels[both] - pixels[both], seen.d_parameters[both]
+    pixels, moved, by_lens = (
+        pixels[both],
+        seen.pixels[both] - pixels[both],
+        seen.by_parameters(len(lens.difference_covariance))[both],
+    )
     outwards = pixels - [main.value("cx"), main.value("cy")]
     radius, distance = np.linalg.norm(outwards, axis=1), np.linalg.norm(moved, axis=1)
     corner, largest = int(np.argmax(radius)), int(np.argmax(distance))

@@ -190,7 +190,8 @@ class BoardProblem:
         rotated, points = (part.reshape(3, -1) for part in self._points(state))
         pixels = self.observations.pixels.reshape(2, -1)
         seen = linearised(self.model, state.parameters, points, pixels, within_domain=within_domain)
-        by_lens = seen.by_lens if len(self.free) == seen.by_lens.shape[1] else seen.by_lens[:, self.free]
+        by_lens = seen.by_lens if len(self.free) else np.zeros((2, 0, len(seen.valid)))
+        by_lens = by_lens if len(self.free) == by_lens.shape[1] else by_lens[:, self.free]
         return Derivatives(seen.residuals, seen.by_point, by_lens, rotated, seen.valid)
 
     def with_points_moved(self, state: State, derivatives: "Derivatives", change: Array) -> "Derivatives":

@@ -15,6 +15,7 @@ _FILES = (
     "short_models",
     "panoramic",
     "rectified_views",
+    "spline",
 )
 _REGISTERED: dict[str, CameraModel] = {
     model.name: model for file in _FILES for model in import_module(f"camcal.cameras.{file}").MODELS
@@ -35,6 +36,13 @@ def model_named(name: str) -> CameraModel:
     near = nearest(name, [*MODELS, *aliases])
     hint = f"did you mean {near!r}?" if near else f"use one of {', '.join(MODELS)}"
     raise InvalidInput(f"lens model {name!r} is unknown; {hint}")
+
+
+def model_of(name: str, configuration: object = None) -> CameraModel:
+    """Return the lens model of the catalogue with this name, configured; raises InvalidInput for what is wrong."""
+    if not isinstance(configuration, Mapping | None):
+        raise InvalidInput(f"{configuration!r}: write a mapping")
+    return MODELS[name].configured(configuration or {})
 
 
 def help_line() -> str:

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -42,9 +42,10 @@ class ProjectionJacobians:
         """Return the derivatives (N, 2, count) by all parameters, in order, of a model with so many."""
         if self.columns is None:
             return self.d_parameters
-        found = np.zeros((len(self.valid), 2, count))
-        np.put_along_axis(found, self.columns[:, None, :].repeat(2, axis=1), self.d_parameters, axis=2)
-        return found
+        found = np.zeros((2, count, len(self.valid)))
+        by_columns = self.d_parameters.transpose(1, 2, 0)
+        np.put_along_axis(found, np.broadcast_to(self.columns.T, by_columns.shape), by_columns, axis=1)
+        return found.transpose(2, 0, 1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +75,8 @@ class CameraModel(Protocol):
     model, its coefficients in the same order, "cv2" or "cv2.fisheye"; empty for none. stages: which parameters a
     calibration frees first, which then; colour_stages: in which parameters the colours of one lens are let differ
     first, and then. prior_std, prior_mean: the weak priors, inf for none; `start` has the same means. typical: the
-    parameters that are not zero in an ordinary lens. limits: what values a parameter may have in a file.
+    parameters that are not zero in an ordinary lens. limits: what values a parameter may have in a file. configuration:
+    what it is besides its name, such as the knots of a spline; `configured` makes it another of its kind.
 
     Points are in the camera frame (x right, y down, z forward, any unit); pixels have (0, 0) at the centre of the
     top-left pixel. Nothing raises on a point it cannot take: it is marked invalid and its numbers are NaN.
@@ -105,6 +107,10 @@ class CameraModel(Protocol):
     @property
     def limits(self) -> Mapping[str, tuple[float, float]]: ...
 
+    @property
+    def configuration(self) -> Mapping[str, Any]: ...
+
+    def configured(self, configuration: Mapping[str, Any]) -> "CameraModel": ...
     def project(self, parameters: Array, points: Array) -> Projection: ...
     def project_with_jacobians(
         self, parameters: Array, points: Array, *, within_domain: bool = True

@@ -10,21 +10,28 @@ from typing import Protocol
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.cameras.lens import CameraModel
+from camcal.cameras.lens import CameraModel, ProjectionJacobians
 from camcal.geometry import rotation as so3
 
 
 @dataclass(frozen=True, eq=False)
 class Reprojection:
     """Residuals (2, …) in pixels, projected minus observed and not whitened, with derivatives by the points in the
-    camera frame (2, 3, …) and by the lens parameters (2, K, …). valid: (…), the points that have an image; the others
-    have zeros.
+    camera frame (2, 3, …). valid: (…), the points that have an image; the others have zeros. projected: with the
+    derivatives by the lens's parameters, of which there are `count`.
     """
 
     residuals: Array
     by_point: Array
-    by_lens: Array
     valid: Array
+    projected: ProjectionJacobians
+    count: int
+
+    @property
+    def by_lens(self) -> Array:
+        """The derivatives (2, K, …) by the lens parameters: those of a spline are many."""
+        found = self.projected.by_parameters(self.count).transpose(1, 2, 0).reshape(2, -1, *self.valid.shape)
+        return found if self.valid.all() else np.nan_to_num(found)
 
 
 def residuals(model: CameraModel, parameters: Array, points: Array, pixels: Array) -> Array:
@@ -45,10 +52,9 @@ def linearised(
     shape = points.shape[1:]
     left = projected.pixels.T.reshape(2, *shape) - pixels
     by_point = projected.d_point.transpose(1, 2, 0).reshape(2, 3, *shape)
-    by_lens = projected.d_parameters.transpose(1, 2, 0).reshape(2, -1, *shape)
     if not projected.valid.all():
-        left, by_point, by_lens = (np.nan_to_num(values) for values in (left, by_point, by_lens))
-    return Reprojection(left, by_point, by_lens, projected.valid.reshape(shape))
+        left, by_point = (np.nan_to_num(values) for values in (left, by_point))
+    return Reprojection(left, by_point, projected.valid.reshape(shape), projected, len(parameters))
 
 
 def rotated_points(rotations: Array, points: Array) -> Array:

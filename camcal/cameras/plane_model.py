@@ -10,13 +10,14 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 
 from camcal.arrays import Array, require_shape
 from camcal.cameras.distortion import Distorted, Distortion, Gradient, Limit, Roles
 from camcal.cameras.lens import Domain, Parameter, Projection, ProjectionJacobians, Rays, staged
+from camcal.errors import InvalidInput
 
 CORE = (
     Parameter("fx", stage=1, colour_stage=1),
@@ -49,7 +50,7 @@ class Slopes(NamedTuple):
     d_plane: Array
 
 
-class _Lens(NamedTuple):
+class Lens(NamedTuple):
     """The parameters of one camera, sorted."""
 
     focal: list[float]
@@ -99,6 +100,17 @@ class PlaneModel(ABC):
         """Return the largest radius on the plane."""
         return math.inf
 
+    @property
+    def configuration(self) -> Mapping[str, Any]:
+        """What a model is besides its name, empty for most."""
+        return {}
+
+    def configured(self, configuration: Mapping[str, Any]) -> Self:
+        """Return the model of its kind with another configuration; raises InvalidInput where there is no such."""
+        if configuration:
+            raise InvalidInput(f"model {self.name!r} has no configuration; leave it out")
+        return self
+
     def is_pinhole(self, parameters: Array) -> bool:  # noqa: ARG002
         """Return whether a camera of these parameters (K,) is a pinhole without distortion."""
         return False
@@ -138,11 +150,11 @@ class PlaneModel(ABC):
         limit = distortion.limit(self._reach(plane))
         pixels, valid = np.empty((2, len(points))), np.empty(len(points), dtype=bool)
         with np.errstate(all="ignore"):
-            for part in _parts(len(points)):
+            for part in parts_of(len(points)):
                 flat = self._flatten(points[part], plane)
                 distorted = distortion.apply(flat.x, flat.y)
-                _to_pixels(distorted, focal, centre, pixels[:, part])
-                _blank(flat.front & limit.holds(distorted), valid[part], pixels[:, part])
+                to_pixels(distorted, focal, centre, pixels[:, part])
+                blank(flat.front & limit.holds(distorted), valid[part], pixels[:, part])
         return Projection(pixels.T, valid)
 
     def project_with_jacobians(
@@ -157,17 +169,17 @@ class PlaneModel(ABC):
         pixels, valid = np.empty((2, count)), np.empty(count, dtype=bool)
         d_point, d_parameters = np.empty((2, 3, count)), np.empty((2, len(self.parameter_names), count))
         with np.errstate(all="ignore"):
-            for part in _parts(count):
+            for part in parts_of(count):
                 flat = self._flatten(points[part], plane)
                 rows = d_parameters[:, :, part]
                 distorted = distortion.apply(flat.x, flat.y, Gradient(rows[:, first:], focal))
-                _to_pixels(distorted, focal, centre, pixels[:, part])
-                _fill_core(distorted, rows)
+                to_pixels(distorted, focal, centre, pixels[:, part])
+                fill_core(distorted, rows)
                 slopes = Slopes(d_point[:, :, part], rows[:, len(CORE) : first])
                 self._chain(points[part], flat, distorted, focal, plane, slopes)
                 sound = limit.holds(distorted) if within_domain else np.isfinite(distorted.x + distorted.y)
                 inside = flat.front & sound
-                _blank(inside, valid[part], pixels[:, part], d_point[:, :, part], rows)
+                blank(inside, valid[part], pixels[:, part], d_point[:, :, part], rows)
         return ProjectionJacobians(pixels.T, valid, d_point.transpose(2, 0, 1), d_parameters.transpose(2, 0, 1))
 
     def unproject(self, parameters: Array, pixels: Array) -> Rays:
@@ -177,11 +189,11 @@ class PlaneModel(ABC):
         limit = distortion.limit(self._reach(plane))
         directions, valid = np.empty((3, len(pixels))), np.empty(len(pixels), dtype=bool)
         with np.errstate(all="ignore"):
-            for part in _parts(len(pixels)):
+            for part in parts_of(len(pixels)):
                 x_d, y_d = ((pixels[part, axis] - centre[axis]) / focal[axis] for axis in (0, 1))
                 x, y, solved = undistort(distortion, x_d, y_d, limit)
                 directions[:, part] = self._lift(x, y, plane)
-                _blank(solved & np.isfinite(directions[0, part]), valid[part], directions[:, part])
+                blank(solved & np.isfinite(directions[0, part]), valid[part], directions[:, part])
         return Rays(directions.T, valid)
 
     def domain(self, parameters: Array) -> Domain:
@@ -221,11 +233,11 @@ class PlaneModel(ABC):
         corner = min(math.hypot(*image_size) / 2 / focal, self.prior_reach)
         return np.array([own.prior_std(corner) for own in self.parameters])
 
-    def _read(self, parameters: Array) -> _Lens:
+    def _read(self, parameters: Array) -> Lens:
         """Return the named values of parameters (K,)."""
         values = require_shape(parameters, (len(self.parameters),), "parameters").tolist()
         first = len(CORE) + len(self.plane_parameters)
-        return _Lens(values[:2], values[2:4], values[4:first], Distortion(tuple(values[first:]), self._roles))
+        return Lens(values[:2], values[2:4], values[4:first], Distortion(tuple(values[first:]), self._roles))
 
     @cached_property
     def _roles(self) -> Roles:
@@ -246,24 +258,24 @@ def chained(distorted: Distorted, focal: Values, by_x: Array, by_y: Array, slope
         np.add(axis, by_y * (length * along_y), out=axis)
 
 
-def _parts(count: int) -> Iterator[slice]:
+def parts_of(count: int) -> Iterator[slice]:
     return (slice(start, start + PART) for start in range(0, count, PART))
 
 
-def _to_pixels(distorted: Distorted, focal: Values, centre: Values, pixels: Array) -> None:
+def to_pixels(distorted: Distorted, focal: Values, centre: Values, pixels: Array) -> None:
     for row, value, scale, origin in zip(pixels, (distorted.x, distorted.y), focal, centre, strict=True):
         np.multiply(value, scale, out=row)
         np.add(row, origin, out=row)
 
 
-def _fill_core(distorted: Distorted, rows: Array) -> None:
+def fill_core(distorted: Distorted, rows: Array) -> None:
     """Write the derivatives by fx fy cx cy, the first four of rows (2, K, n)."""
     rows[0, 1:4:2] = rows[1, 0:3:2] = 0.0
     rows[0, 0], rows[1, 1] = distorted.x, distorted.y
     rows[0, 2] = rows[1, 3] = 1.0
 
 
-def _blank(inside: Array, valid: Array, *results: Array) -> None:
+def blank(inside: Array, valid: Array, *results: Array) -> None:
     """Write the mask (n,) and NaN into the results (..., n) where it is False."""
     valid[:] = inside
     if not inside.all():
@@ -280,7 +292,7 @@ def undistort(distortion: Distortion, x_d: Array, y_d: Array, limit: Limit) -> t
     radius_d = np.sqrt(target[0] ** 2 + target[1] ** 2)
     radius = _undistort_radius(distortion, radius_d, limit)
     start = target * (radius / np.where(radius_d > 0, radius_d, 1.0))
-    found, solved = _refine(distortion, np.stack([x_d, y_d]), start, limit)
+    found, solved = refine(distortion, np.stack([x_d, y_d]), start, limit)
     return found[0], found[1], solved
 
 
@@ -306,7 +318,7 @@ def _undistort_radius(distortion: Distortion, target: Array, limit: Limit) -> Ar
     return radius
 
 
-def _refine(distortion: Distortion, target: Array, start: Array, limit: Limit) -> tuple[Array, Array]:
+def refine(distortion: Distortion, target: Array, start: Array, limit: Limit) -> tuple[Array, Array]:
     """Return the points (2, n) that the distortion takes to target (2, n), and the mask (n,) of success.
 
     A step that does not bring a point nearer by its share, or leaves the domain, is halved; after one that does the

@@ -18,6 +18,7 @@ A name is that of a camera or a free frame. Between any two frames there is at m
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -26,9 +27,10 @@ import numpy as np
 
 from camcal import files
 from camcal.arrays import Array
-from camcal.cameras.catalogue import MODELS
+from camcal.cameras.catalogue import model_of
 from camcal.cameras.model import Camera
 from camcal.cameras.validity import field_of_view, folds_inside
+from camcal.errors import InvalidInput
 from camcal.formats import covariance, documents, emit, native_entry, provenance
 from camcal.formats.camera_file import CameraEntry, CameraFile, JointCovariance, Transform
 from camcal.formats.covariance import why_no_covariance
@@ -151,8 +153,10 @@ def _why_not_ours(data: Mapping[str, Any]) -> Fault | None:
 def _joint_names(cameras: Mapping[str, Any], transforms: Mapping[str, Any]) -> Iterator[str]:
     """Yield the names a joint covariance may speak of: left.fx, right_T_left.tx."""
     for name, data in cameras.items():
-        model = data.get("model") if isinstance(data, dict) else None
-        parameters = MODELS[model].parameter_names if isinstance(model, str) and model in MODELS else ()
+        parameters: tuple[str, ...] = ()
+        if isinstance(data, dict):
+            with suppress(KeyError, TypeError, InvalidInput):  # which the check of the camera reports
+                parameters = model_of(data["model"], data.get("configuration")).parameter_names
         yield from (f"{name}.{parameter}" for parameter in parameters)
     yield from (f"{name}.{step}" for name in transforms for step in covariance.ORDER)
 

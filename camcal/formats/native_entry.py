@@ -30,10 +30,11 @@ from typing import Any
 
 import numpy as np
 
-from camcal.cameras.catalogue import MODELS
+from camcal.cameras.catalogue import MODELS, model_of
 from camcal.cameras.lens import CameraModel
 from camcal.cameras.model import Camera
 from camcal.cameras.validity import ImageCircle
+from camcal.errors import InvalidInput
 from camcal.formats import boards, covariance
 from camcal.formats.camera_file import CalibrationNoise, CalibrationVerdict, CameraEntry, ProjectionStd, ValidRegion
 from camcal.formats.documents import Check, Fault, child
@@ -122,7 +123,7 @@ _ENTRY = mapping(
     {"image_size": items(integer(1, LARGEST_SIDE), 2), "model": _model, "intrinsics": unchecked},
     {
         **_LENS,
-        "configuration": mapping({}, others=plain),
+        "configuration": plain,
         "held_by_prior": unchecked,
         "valid": mapping({}, VALID),
         "quality": mapping({}, {**dict.fromkeys(FIGURES, number(0)), **dict.fromkeys(COUNTS, integer(0))}),
@@ -140,19 +141,22 @@ def check(data: Any, path: str) -> Iterator[Fault]:
     name = data.get("model") if isinstance(data, dict) else None
     if not isinstance(name, str) or name not in MODELS:
         return
-    yield from _check_lens(data, path, MODELS[name])
-    yield from _check_held_by_prior(data, path, MODELS[name])
-    if "configuration" in data:
-        yield Fault(child(path, "configuration"), f"model {name!r} has no configuration; leave it out")
+    try:
+        model = model_of(name, data.get("configuration"))
+    except InvalidInput as error:
+        yield Fault(child(path, "configuration"), error.message)
+        return
+    yield from _check_lens(data, path, model)
+    yield from _check_held_by_prior(data, path, model)
     channels = data.get("channels")
     for colour, lens in channels.items() if isinstance(channels, dict) else ():
         if isinstance(lens, dict):
-            yield from _check_lens(lens, child(child(path, "channels"), colour), MODELS[name])
+            yield from _check_lens(lens, child(child(path, "channels"), colour), model)
 
 
 def read(data: Mapping[str, Any], folder: Path) -> tuple[CameraEntry, tuple[str, ...]]:
     """Return the entry of data that has passed `check`, and the parameters that lack an uncertainty others have."""
-    model, size = MODELS[data["model"]], (data["image_size"][0], data["image_size"][1])
+    model, size = model_of(data["model"], data.get("configuration")), (data["image_size"][0], data["image_size"][1])
     camera, unknown = _read_lens(data, model, size, folder)
     channels = {name: _read_lens(lens, model, size, folder)[0] for name, lens in data.get("channels", {}).items()}
     return CameraEntry(
@@ -197,6 +201,7 @@ def block(entry: CameraEntry, beside: Path) -> dict[str, Any]:
     """Return the data of one camera; beside: the file it is for."""
     camera = entry.camera
     data: dict[str, Any] = {"image_size": list(camera.image_size), "model": camera.model.name}
+    data["configuration"] = camera.model.configuration or None
     data.update(_lens_block(camera, beside))
     data["held_by_prior"] = list(entry.held_by_prior) or None
     if entry.projection:

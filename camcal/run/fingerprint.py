@@ -33,6 +33,7 @@ from camcal import files, system, urls
 from camcal.arrays import Array
 from camcal.errors import CamcalError, FileError, reason
 from camcal.formats import provenance
+from camcal.images.videos import file_of, title
 from camcal.options import PATH, Declared, declared
 from camcal.parsing import in_one_line
 from camcal.run.process import over_threads
@@ -119,6 +120,13 @@ def of_folder(path: Path) -> str:
     """Return the hash of the names and contents of the files in a folder, hidden ones and folders below it left out."""
     inside = sorted(each for each in path.iterdir() if each.is_file() and not each.name.startswith("."))
     return of_data([[each.name, of_file(each)] for each in inside])
+
+
+def of_video(path: Path) -> str:
+    """Return the hash of a video: of its file, or of a bag and the topic."""
+    file = file_of(path)
+    content = of_folder(file) if file.is_dir() else of_file(file)
+    return content if file == path else of_data([content, title(path)])
 
 
 def of_array(array: Array) -> str:

@@ -164,3 +164,39 @@ def test_a_lens_that_a_family_does_not_have_is_refused(tmp_path, form):
     with pytest.raises(CamcalError, match=re.escape(form.title)) as caught:
         cameras.write(tmp_path / f"a{form.suffixes[0]}", CameraFile({"camera": CameraEntry(camera)}), form)
     assert "\n" not in str(caught.value)
+
+
+def test_a_spline_goes_to_mrcal_and_back_with_all_its_knots(tmp_path):
+    model = MODELS["splined_stereographic"].configured({"knots": [11, 9], "fov_x_deg": 130, "degree": 2})
+    parameters = model.start(SIZE, 400.0)
+    parameters[4:] = np.random.default_rng(1).normal(0, 0.01, len(parameters) - 4)
+    camera = Camera(model, SIZE, parameters)
+    path = tmp_path / "a.cameramodel"
+    cameras.write(path, CameraFile({"camera": CameraEntry(camera)}), FORMATS["mrcal"])
+    word = "LENSMODEL_SPLINED_STEREOGRAPHIC_order=2_Nx=11_Ny=9_fov_x_deg=130"
+    assert f"'lensmodel':  '{word}'" in path.read_text(encoding="utf-8")
+    found = cameras.read_camera(path)
+    assert found.model == model
+    np.testing.assert_array_equal(found.parameters, parameters)
+
+
+def test_a_spline_that_mrcal_cannot_have_or_name_is_refused_in_one_line(tmp_path):
+    model = MODELS["splined_stereographic"].configured({"fov_x_deg": 130.5})
+    entry, path = CameraEntry(Camera(model, SIZE, model.start(SIZE, 400.0))), tmp_path / "a.cameramodel"
+    with pytest.raises(CamcalError, match=r"a whole number of degrees as fov_x_deg, not 130\.5"):
+        cameras.write(path, CameraFile({"camera": entry}), FORMATS["mrcal"])
+    numbers = ", ".join(["500.0"] * 4 + ["0.0"] * 32)
+    head = "{'lensmodel': 'LENSMODEL_SPLINED_STEREOGRAPHIC_order=3"
+    tail = f"', 'intrinsics': [{numbers}], 'extrinsics': [0, 0, 0, 0, 0, 0], 'imagersize': [752, 480]}}"
+    for knots, words in {
+        "_Nx=4_Ny=4_fov_x_deg=100": None,
+        "_Nx=4_Ny=5_fov_x_deg=100": "36 numbers",
+        "_Nx=4_Ny=3_fov_x_deg=100": r"knots \[4, 3\]: write \[columns, rows\] from 4",
+        "_Nx=4": "a spline is named …_order=3_Nx=30_Ny=18_fov_x_deg=150",
+    }.items():
+        path.write_text(head + knots + tail, encoding="utf-8")
+        if words is None:
+            assert cameras.read_camera(path).model.knots == (4, 4)
+        else:
+            with pytest.raises(CamcalError, match=words):
+                cameras.read(path)

@@ -249,6 +249,25 @@ def test_every_model_is_written_and_read(tmp_path, name):
     assert_same_camera(cameras.read_camera(tmp_path / "a.yaml"), camera)
 
 
+def test_a_spline_is_written_with_its_knots_and_read_with_them(tmp_path):
+    model = MODELS["splined_stereographic"].configured({"knots": [7, 6], "fov_x_deg": 80.5, "degree": 2})
+    parameters = np.concatenate([[500.0, 501.0, 320.0, 240.0], 0.001 * np.arange(84)])
+    camera = Camera(model, (640, 480), parameters, np.diag(1e-6 * (1.0 + np.arange(88))) + 1e-7)
+    native.write(tmp_path / "a.yaml", CameraFile({"cam": CameraEntry(camera)}))
+    text = (tmp_path / "a.yaml").read_text(encoding="utf-8")
+    assert "configuration: {knots: [7, 6], fov_x_deg: 80.5, degree: 2}" in text
+    found = cameras.read_camera(tmp_path / "a.yaml")
+    assert found.model == model
+    np.testing.assert_allclose(found.parameters, parameters, rtol=TWELVE_DIGITS)
+    np.testing.assert_allclose(found.covariance, camera.covariance, rtol=TWELVE_DIGITS)
+    (tmp_path / "b.yaml").write_text(text.replace("[7, 6]", "[7, 3]"), encoding="utf-8")
+    with pytest.raises(InvalidInput, match=r"distortion\.dx_3_0: model 'splined_stereographic' has no 'dx_3_0' here"):
+        native.read(tmp_path / "b.yaml")
+    (tmp_path / "b.yaml").write_text(text.replace("[7, 6]", "[7, 0]"), encoding="utf-8")
+    with pytest.raises(InvalidInput, match=r"cam.configuration: knots \[7, 0\]: write \[columns, rows\] from 3 to 100"):
+        native.read(tmp_path / "b.yaml")
+
+
 def test_opencv_and_pyyaml_open_what_was_written(tmp_path):
     native.write(tmp_path / "rig.yaml", full_file(np.random.default_rng(4)))
     storage = cv2.FileStorage(str(tmp_path / "rig.yaml"), cv2.FILE_STORAGE_READ)

@@ -133,10 +133,10 @@ class PackedCorrespondences:
         factors[:, :, 12] = np.einsum("ipn,p->in", rows, self.frame.translation)
         return factors
 
-    def rows(self, states: Array, view: Array, mask: Array) -> tuple[Array, Array, Array]:
+    def rows(self, states: Array, view: Array, mask: Array, *, lens: bool = False) -> tuple[Array, Array | None, Array]:
         """Return the whitened residuals behind their derivatives by the pose's step as (2, 7, S, N), zero outside the
-        mask (S, N); the derivatives by the lens's parameters as (2, K, S, N), and the mask (S,) of states at which all
-        points of the mask are in the lens's domain.
+        mask (S, N); the derivatives by the lens's parameters as (2, K, S, N) where they are wanted; and the mask (S,)
+        of states at which all points of the mask are in the lens's domain.
         """
         rotated = rotated_points(states[:, :, :3], _of(self.points, view))
         in_camera = self._in_camera(rotated, states[:, :, 3])
@@ -146,7 +146,7 @@ class PackedCorrespondences:
         by_pose(by_point, rotated, out=rows[:, :6])
         rows[:, 6] = seen.residuals
         whitening = self._whitening_of(view)
-        rows, by_lens = whitened(whitening, rows), whitened(whitening, seen.by_lens)
+        rows, by_lens = whitened(whitening, rows), whitened(whitening, seen.by_lens) if lens else None
         if not mask.all():
             np.copyto(rows, 0.0, where=~mask)
         return rows, by_lens, np.all(seen.valid | ~mask, axis=1)

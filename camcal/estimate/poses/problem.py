@@ -121,7 +121,8 @@ class PoseProblems:
         result = np.empty((len(which), 6, len(packed.camera.parameters)))
         for part in _parts(len(which), masks.shape[1]):
             here = which[part]
-            rows, by_lens, _ = packed.rows(states[part], self.view[here], masks[here])
+            rows, by_lens, _ = packed.rows(states[part], self.view[here], masks[here], lens=True)
+            assert by_lens is not None
             by_lens = np.where(masks[here], by_lens, 0.0)
             pairs = zip(rows[:, :6].transpose(0, 2, 1, 3), by_lens.transpose(0, 2, 3, 1), strict=True)
             result[part] = sum(by_pose @ lens for by_pose, lens in pairs)

@@ -3,6 +3,7 @@
 A line is a lens as the family has it: its word for it, camcal's lens model, and the parameters in the family's order,
 by camcal's names, KEY=NAME where the family names one otherwise. NAME? may be left out and is 0 then. KEY=0 is one that
 camcal's model does not have: it has to be 0. f is one focal length for both axes; fx-fy what fx has more than fy.
+* stands for all parameters of a model, in camcal's order.
 A lens model that camcal does not have (yet) is declared alike, and refused by its word.
 """
 
@@ -32,12 +33,20 @@ class Key(NamedTuple):
     optional: bool
 
 
+ALL = Key("*", "*", optional=False)
+
+
 class Lens(NamedTuple):
     """A lens: the family's word for it, camcal's model, its parameters in the family's order."""
 
     word: str
     model: str
     keys: tuple[Key, ...]
+
+    @property
+    def whole(self) -> bool:
+        """Whether the family has all parameters of camcal's model, in its order."""
+        return self.keys == (ALL,)
 
     @property
     def counts(self) -> tuple[int, int]:
@@ -139,7 +148,8 @@ class Lenses:
             held = {own.name for own in row.keys}
             held |= {"fx", "fy"} if "f" in held and values["fx-fy"] == 0 else set()
             held |= {"fx"} if "fx-fy" in held else set()
-            if row.model in MODELS and type(MODELS[row.model]) is type(camera.model) and held >= given:
+            same = row.model in MODELS and type(MODELS[row.model]) is type(camera.model)
+            if same and (row.whole or held >= given):
                 return row
         return None
 
@@ -149,6 +159,8 @@ class Lenses:
         if lens is None:
             raise ValueError("a camera is written as a lens that the family has")
         values = self._values(camera)
+        if lens.whole:
+            return lens, {name: values[name] for name in camera.model.parameter_names}
         return lens, {own.key: values.get(own.name, 0.0) for own in lens.keys if not (own.name == "0" and own.optional)}
 
     def jacobian(self, camera: Camera, lens: Lens, keys: Sequence[str]) -> Array:

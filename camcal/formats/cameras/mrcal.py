@@ -13,9 +13,11 @@ from typing import Any
 import numpy as np
 
 from camcal import files
-from camcal.errors import FileError
+from camcal.cameras.catalogue import model_of
+from camcal.cameras.model import Camera
+from camcal.errors import FileError, InvalidInput
 from camcal.formats.camera_file import CameraEntry, CameraFile, Transform, ValidRegion, pose_between
-from camcal.formats.cameras.lenses import Lenses
+from camcal.formats.cameras.lenses import Lenses, Size
 from camcal.formats.cameras.record import CAMERA, LEFT, RIGHT, CameraFormat, Given, Source
 from camcal.formats.cameras.values import Values
 from camcal.formats.documents import Document
@@ -24,6 +26,8 @@ from camcal.geometry import rotation as so3
 from camcal.geometry.pose import JOINT
 
 REFERENCE = "reference"
+_SPLINE = "_order={}_Nx={}_Ny={}_fov_x_deg={}"
+_KNOTS = re.compile(_SPLINE.format(*[r"(\d{1,4})"] * 4) + r"\Z")
 LENSES = Lenses(
     """
     LENSMODEL_PINHOLE pinhole fx fy cx cy
@@ -32,7 +36,7 @@ LENSES = Lenses(
     LENSMODEL_OPENCV8 opencv8 fx fy cx cy k1 k2 p1 p2 k3 k4 k5 k6
     LENSMODEL_OPENCV12 opencv12 fx fy cx cy k1 k2 p1 p2 k3 k4 k5 k6 s1 s2 s3 s4
     LENSMODEL_STEREOGRAPHIC stereographic fx fy cx cy
-    LENSMODEL_SPLINED_STEREOGRAPHIC splined_stereographic fx fy cx cy
+    LENSMODEL_SPLINED_STEREOGRAPHIC splined_stereographic *
     LENSMODEL_CAHVOR cahvor fx fy cx cy alpha beta r0 r1 r2
     LENSMODEL_CAHVORE cahvore fx fy cx cy alpha beta r0 r1 r2 e0 e1 e2
     """,
@@ -49,7 +53,10 @@ def read(sources: Sequence[Source], given: Given) -> CameraFile:
         word = values.text("lensmodel")
         rows = LENSES.of(values, "lensmodel", word.partition("_order=")[0])
         size = given.size(values.sides("imagersize") if "imagersize" in values else None, str(source.path))
-        camera = LENSES.listed(values, "intrinsics", rows, size, values.numbers("intrinsics"))
+        if rows[0].whole:
+            camera = _splined(values, word, size)
+        else:
+            camera = LENSES.listed(values, "intrinsics", rows, size, values.numbers("intrinsics"))
         seen = "valid_intrinsics_region" if values.data.get("valid_intrinsics_region") else None
         region = None if seen is None else ValidRegion(polygon=values.matrix_of(seen))
         cameras[name] = CameraEntry(camera, valid=region)
@@ -60,6 +67,34 @@ def read(sources: Sequence[Source], given: Given) -> CameraFile:
                 pose = values.pose(key, so3.exp(numbers[:3]), numbers[3:])
                 transforms[f"{name}{JOINT}{REFERENCE}"] = Transform(pose)
     return CameraFile(cameras, transforms)
+
+
+def _splined(values: Values, word: str, size: Size) -> Camera:
+    """Return the camera of a spline, whose knots stand in its name."""
+    found = _KNOTS.search(word)
+    if found is None:
+        raise values.wrong("lensmodel", f"{word[:80]!r}: a spline is named …{_SPLINE.format(3, 30, 18, 150)}")
+    degree, columns, rows, fov_x_deg = map(int, found.groups())
+    try:
+        model = model_of("splined_stereographic", {"knots": [columns, rows], "fov_x_deg": fov_x_deg, "degree": degree})
+    except InvalidInput as error:
+        raise values.wrong("lensmodel", error.message) from error
+    numbers = values.numbers("intrinsics", len(model.parameter_names))
+    values.require_focal("intrinsics", *numbers[:2].tolist())
+    return Camera(model, size, numbers)
+
+
+def _word(camera: Camera, word: str, where: str) -> str:
+    """Return mrcal's name of a camera's lens model, that of a spline with its knots; raises FileError for a spline that
+    mrcal cannot have.
+    """
+    own = camera.model.configuration
+    if not own:
+        return word
+    if own["fov_x_deg"] != round(own["fov_x_deg"]):
+        text = f"mrcal's splines have a whole number of degrees as fov_x_deg, not {own['fov_x_deg']:g}"
+        raise FileError(text, where=where)
+    return word + _SPLINE.format(own.get("degree", 3), *own["knots"], round(own["fov_x_deg"]))
 
 
 def _values(source: Source) -> Values:
@@ -94,7 +129,8 @@ def write(path: Path, file: CameraFile) -> None:
         place = [0.0] * 6 if pose is None else [*so3.log(pose.rotation).tolist(), *pose.translation.tolist()]
         lens, numbers = LENSES.written(entry.camera)
         width, height = entry.camera.image_size
-        lines = [f"# {FORMAT.note}", "{", f"    'lensmodel':  '{lens.word}',"]
+        word = _word(entry.camera, lens.word, str(target))
+        lines = [f"# {FORMAT.note}", "{", f"    'lensmodel':  '{word}',"]
         lines += [
             f"    'intrinsics': [ {_numbers(list(numbers.values()))} ],",
             f"    'extrinsics': [ {_numbers(place)} ],",

@@ -10,6 +10,7 @@ from camcal.arrays import Array
 from camcal.errors import CamcalError, FileError, InvalidInput
 from camcal.formats import boards, detections, native_entry
 from camcal.images.files import KINDS, save
+from camcal.images.videos import title
 from camcal.messages import Message
 from camcal.progress import SILENT, Progress, values_of, warn_of
 from camcal.raw.options import AS_IMAGES, ImageReadOptions
@@ -255,7 +256,7 @@ def _in_videos(
     for video in videos:
         # one outcome after another: each holds its frame
         work = partial(detect_frame, parts=options.parts, measured=not locate)
-        what = f"detecting in {video.path.name}"
+        what = f"detecting in {title(video.path)}"
         found: Items[tuple[str, Frame, Board], BoardDetection] = Items(
             _settings(options, locate=locate), _of_frame, result=BoardDetection
         )

@@ -23,6 +23,7 @@ from camcal.images import video
 from camcal.images.files import gray_8bit
 from camcal.images.image import Image
 from camcal.images.video import focus, motion, reduced
+from camcal.images.videos import title
 from camcal.progress import Progress
 from camcal.report.table import Column
 from camcal.targets.board import Board
@@ -134,7 +135,7 @@ def survey(path: Path, options: FrameOptions, progress: Progress) -> Video:
 
 def surveyed(path: Path, options: FrameOptions, progress: Progress) -> SurveyedVideo:
     """Return what every frame of a video is worth, every options.every-th one; nothing where all are taken."""
-    progress.start(f"surveying {path.name}", None)
+    progress.start(f"surveying {title(path)}", None)
     sharpness: list[float] = []
     numbers: list[int] = []
     count, error = 0, None
@@ -228,7 +229,7 @@ def summary(surveyed: Video, records: Sequence[FrameRecord]) -> str:
     others = "".join(f", {whys[why]} {text}" for why, text in words.items() if whys[why])
     taken, found = sum(record.taken for record in own), sum(record.view.found for record in own)
     return (
-        f"{surveyed.path.name}: {taken} of {surveyed.count} frames used; {len(own)} searched, "
+        f"{title(surveyed.path)}: {taken} of {surveyed.count} frames used; {len(own)} searched, "
         f"{found} with the board{others}"
     )
 

@@ -10,8 +10,9 @@ from pathlib import Path, PurePath
 from camcal.errors import InvalidInput
 from camcal.formats.native import NAME
 from camcal.geometry.pose import JOINT
+from camcal.images.videos import file_of, is_video
 from camcal.messages import counted
-from camcal.run.paths import IMAGE_SUFFIXES, VIDEO_SUFFIXES, Media, find_media
+from camcal.run.paths import IMAGE_SUFFIXES, Media, find_media
 from camcal.tasks.calibration.board_views import is_table
 
 SYNTAX = "give NAME=PATH for each camera, such as left=photos/left right=photos/right"
@@ -60,7 +61,7 @@ def cameras_of(
         raise InvalidInput(f"some inputs name their camera and this one does not: {SYNTAX}", where=unnamed[0])
     if len(unnamed) == 1:
         [path] = unnamed
-        if Path(path).suffix.lower() in VIDEO_SUFFIXES and Path(path).is_file():
+        if is_video(Path(path)) and file_of(Path(path)).exists():
             raise InvalidInput(f"is the video of one camera: {SYNTAX}", where=path)
         return _in_one(path, recursive, also)
     lines: tuple[str, ...] = ()
@@ -167,7 +168,7 @@ def _folders_in(path: str, also: AbstractSet[str]) -> list[Path]:
 
 
 def _has_media(paths: Iterable[Path], also: AbstractSet[str]) -> bool:
-    return any(path.suffix.lower() in IMAGE_SUFFIXES | VIDEO_SUFFIXES | also for path in paths)
+    return any(path.suffix.lower() in IMAGE_SUFFIXES | also or is_video(path) for path in paths)
 
 
 def split_by_name(paths: Sequence[Path]) -> dict[str, tuple[Path, ...]] | None:

@@ -232,7 +232,7 @@ def test_pose_and_lens_jacobians_are_the_derivatives_of_the_whitened_residuals()
     frame = Pose.from_vector(np.array([0.1, 0.3, -0.2]), np.array([0.1, 0.0, 0.05]))
     packed = PackedCorrespondences.of(WIDE, [Correspondences("a", view.points, view.pixels, covariance)], frame)
     state, only = se3.of_poses([frame.inverse() @ pose]), np.zeros(1, int)
-    rows, by_lens, inside = packed.rows(state, only, packed.present)
+    rows, by_lens, inside = packed.rows(state, only, packed.present, lens=True)
     assert inside.all()
 
     def by_step(step):
