@@ -33,7 +33,8 @@ def camera(model, seed=0, size=SIZE):
     rng = np.random.default_rng(seed)
     count = len(MODELS[model].parameter_names)
     core = np.array([458.654, 457.296, 367.215, 248.375]) + rng.normal(size=4)
-    return Camera(MODELS[model], size, np.concatenate([core, 0.01 * rng.normal(size=count - 4)]))
+    drawn = MODELS[model].prior_mean[4:] + 0.01 * rng.normal(size=count - 4)
+    return Camera(MODELS[model], size, np.concatenate([core, drawn]))
 
 
 def written(folder, file, name, suffix):
@@ -312,7 +313,8 @@ BAD = {
     ROS.replace("plumb_bob", "equidistant"): "5 numbers; equidistant has 4",
     ROS.replace("image_width: 640\n", ""): "has no image_width",
     KALIBR.replace("pinhole", "ds"): "'ds-radtan' is not a lens of this program; read are pinhole-none, pinhole-radtan",
-    KALIBR.replace("radtan", "fov"): "'pinhole-fov' is not among camcal's lens models",
+    KALIBR.replace("radtan", "fov"): "8 numbers; pinhole-fov has 5",
+    KALIBR.replace("pinhole", "omni").replace("[461,", "[-1, 461,"): "xi: -1 is outside [0, 1e+06]",
     KALIBR.replace("461, ", ""): "7 numbers; pinhole-radtan has 8",
     KALIBR.replace("[752,", "[1e+7,"): "1e+07 x 480 is not a width and height in pixels",
     KALIBR.replace("461, ", "1e-30, "): "is outside [0.001, 1e+10]",

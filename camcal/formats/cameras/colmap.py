@@ -35,11 +35,11 @@ LENSES = Lenses(
     OPENCV_FISHEYE kannala_brandt4 fx fy cx cy k1 k2 k3 k4
     SIMPLE_FISHEYE kannala_brandt4 f cx cy
     FISHEYE kannala_brandt4 fx fy cx cy
-    FOV fov fx fy cx cy w
+    FOV fov fx fy cx cy w=omega
     THIN_PRISM_FISHEYE thin_prism_fisheye fx fy cx cy k1 k2 p1 p2 k3 k4 sx1 sy1
     RAD_TAN_THIN_PRISM_FISHEYE fisheye624 fx fy cx cy k0 k1 k2 k3 k4 k5 p0 p1 s0 s1 s2 s3
-    SIMPLE_DIVISION division f cx cy k
-    DIVISION division fx fy cx cy k
+    SIMPLE_DIVISION division f cx cy k=lambda
+    DIVISION division fx fy cx cy k=lambda
     EUCM eucm fx fy cx cy alpha beta
     EQUIRECTANGULAR panorama
     """,

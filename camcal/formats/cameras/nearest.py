@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from camcal.arrays import FloatArray
 from camcal.cameras.catalogue import MODELS, model_named
+from camcal.cameras.identities import same_lens
 from camcal.cameras.lens import CameraModel
 from camcal.cameras.model import Camera
 from camcal.errors import InsufficientData, InvalidInput
@@ -104,12 +105,20 @@ def _exact(camera: Camera, form: CameraFormat, wanted: str | None) -> Camera | N
 
     wanted: the lens model that it is to have, None for any.
     """
-    if wanted is not None:
-        return expressed(camera, (wanted,)) if camera.model.name != wanted else camera
-    if form.lenses is None:
-        return expressed(camera, form.models)
-    row = form.lenses.row(camera)
-    return None if row is None else expressed(camera, (row.model, *form.models))
+    if camera.model.name == wanted:
+        return camera
+    for same in same_lens(camera):
+        if wanted is not None:
+            models: tuple[str, ...] = (wanted,)
+        elif form.lenses is None:
+            models = form.models
+        else:
+            row = form.lenses.row(same)
+            models = () if row is None else (row.model, *form.models)
+        found = expressed(same, models)
+        if found is not None:
+            return found
+    return None
 
 
 def _nearest(entry: CameraEntry, name: str, form: CameraFormat, nearest: Nearest, where: str) -> "Refit":
