@@ -28,6 +28,7 @@ from camcal.images.exif import JPEG, PNG, read_jpeg
 from camcal.images.files import gray_8bit, gray_levels, load, png_has_colour
 from camcal.images.image import RAW_SUFFIXES, Image
 from camcal.images.options import require_pixels
+from camcal.images.videos import address_of
 from camcal.raw.demosaic import demosaic
 from camcal.raw.develop import balance_in_place, linearise
 from camcal.raw.frame_facts import check_phase
@@ -71,6 +72,8 @@ def read_mosaic(
     path = Path(path)
     suffix = path.suffix.lower()
     with Located(path):
+        if address_of(path) is not None:
+            return _read_message(path, pattern)
         if suffix in HEADERLESS_SUFFIXES:
             complete = layout.complete(path, pattern)
             values, colours = read_headerless(path, complete)
@@ -83,6 +86,20 @@ def read_mosaic(
         if pattern not in (None, frame.pattern):
             raise InvalidInput(f"pattern {frame.pattern} in the file, {pattern} by --pattern; leave --pattern out")
         return frame
+
+
+def _read_message(frame: Path, pattern: str | None) -> Mosaic:
+    """Return an image of a topic as a mosaic, of the pattern that its message tells or else the one given."""
+    from camcal.images.bag import mosaic  # here, since it needs an extra
+
+    image, told = mosaic(frame)
+    if told and pattern not in (None, told):
+        raise InvalidInput(f"pattern {told} in the message, {pattern} by --pattern; leave --pattern out")
+    if image.channels != 1:
+        raise InvalidInput(f"a mosaic has one channel, this image has {image.channels}: it is in colour already")
+    if not (found := told or pattern):
+        raise missing_pattern(frame)
+    return Mosaic(image.pixels, found, np.zeros((2, 2)), full_scale(image.pixels.dtype))
 
 
 def _read_bare(path: Path, pattern: str | None, content: bytes | None) -> Mosaic:
