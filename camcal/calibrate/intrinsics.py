@@ -27,7 +27,7 @@ from camcal.calibrate.refusals import (
     usable_views,
 )
 from camcal.calibrate.several_cameras import TwoCameras, two_cameras
-from camcal.calibrate.shape import surface_of
+from camcal.calibrate.shape import focal_correlations, surface_of
 from camcal.calibrate.view_records import RejectedCorner, View, rejected_corners, view_records
 from camcal.cameras.catalogue import MODELS
 from camcal.cameras.lens import CameraModel
@@ -40,10 +40,6 @@ from camcal.targets.board import Board, Surface
 from camcal.targets.detection import BoardDetection
 
 __all__ = ["Calibration", "CandidateModel", "Options", "RejectedCorner", "View", "calibrate", "compare_models"]
-
-# Of its prior's standard deviation: above it the data bring less than three quarters of a coefficient's precision, so
-# that more than a quarter is an assumption (1/σ² = 1/σ_data² + 1/σ_prior²).
-_HELD_BY_PRIOR = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -203,6 +199,8 @@ def solve(
             f"calibration not converged after {result.plain.passes} passes with the lens model {options.model.name}"
         )
     _require_plausible(result, images, options, len(detections), cameras)
+    if bounded := _at_limits(options, result.state.parameters, size):
+        return solve(detections, board, bounded)
     return Solved(result, tuple(detections), tuple(reasons), size, cameras)
 
 
@@ -294,6 +292,20 @@ def _held(options: Options, size: tuple[int, int]) -> tuple[Array, Array | None]
     return held, start if guess is not None else None
 
 
+def _at_limits(options: Options, parameters: Array, size: tuple[int, int]) -> Options | None:
+    """Return the options with every parameter (K,) that an estimate has beyond its limits held there, None if none is:
+    the best lens of the model is at its limit then, and beyond it a camera file could not be read.
+    """
+    names, limits = options.model.parameter_names, options.model.limits
+    low, high = np.array([limits[name] for name in names]).T
+    within = np.clip(parameters, low, high)
+    beyond = tuple(name for name, kept, found in zip(names, within, parameters, strict=True) if kept != found)
+    if not beyond:
+        return None
+    fixed = (*options.fixed, *beyond)
+    return replace(options, fixed=fixed, guess=Camera(options.model, size, within))
+
+
 def _require_plausible(
     fit: CalibrationFit | Estimate,
     images: Sequence[str],
@@ -336,8 +348,8 @@ def record(solved: Solved, pose_covariances: Array, between: BetweenViews) -> Ca
     covariance = result.covariance
     camera = _camera(result, size, covariance)
     noise_covariance = _camera(result, size, result.noise_covariance).covariance
-    for focal in {"fx", "fy"} & set(camera.model.parameter_names) - set(camera.fixed):
-        require_focal(camera.value(focal), camera.std(focal) or 0.0)
+    for focal, std in zip(*camera.focal_lengths(), strict=True):
+        require_focal(float(focal), float(std))
     views = view_records(
         result,
         detections,
@@ -359,9 +371,9 @@ def record(solved: Solved, pose_covariances: Array, between: BetweenViews) -> Ca
         residuals=readonly(residuals[:, kept].T, (None, 2), "residuals"),
         pixels=readonly(problem.observations.pixels[:, kept].T, (None, 2), "pixels"),
         iterations=sum(own.passes for own in result.estimates),
-        correlations=_correlations(problem.shared_names, covariance),
+        correlations=focal_correlations(problem.shared_names, covariance),
         model_error_px=plain.model_error_px,
-        held_by_prior=_held_by_prior(problem, np.sqrt(np.diag(result.noise_covariance))),
+        held_by_prior=problem.held_by_prior(np.sqrt(np.diag(result.noise_covariance))),
         noise_covariance=noise_covariance,
         within_views=result.errors,
         between_views=between,
@@ -375,14 +387,6 @@ def _pose_covariances(result: CalibrationFit) -> Array:
     return np.asarray(np.tensordot(result.weights, np.stack(own), axes=1))
 
 
-def _held_by_prior(problem: BoardProblem, stds: Array) -> tuple[str, ...]:
-    """Return the names of lens parameters that their priors hold; stds: (S,) of the shared parameters as solved for."""
-    if problem.lens_spread is None:
-        return ()
-    held = stds[: len(problem.free)] > _HELD_BY_PRIOR * problem.lens_spread[problem.free]
-    return tuple(np.array(problem.shared_names[: len(problem.free)])[held].tolist())
-
-
 def _camera(result: CalibrationFit, size: tuple[int, int], covariance: Array) -> Camera:
     problem = result.problem
     names, free = problem.model.parameter_names, problem.free
@@ -390,11 +394,3 @@ def _camera(result: CalibrationFit, size: tuple[int, int], covariance: Array) ->
     full[np.ix_(free, free)] = covariance[: len(free), : len(free)]
     fixed = tuple(name for index, name in enumerate(names) if index not in free)
     return Camera(problem.model, size, result.state.parameters, full, fixed)
-
-
-def _correlations(names: tuple[str, ...], covariance: Array) -> dict[tuple[str, str], float]:
-    """Return the correlations of the board's in-plane terms with the focal lengths."""
-    index = {name: i for i, name in enumerate(names)}
-    pairs = [(term, focal) for term in ("x/y scale", "shear") for focal in ("fx", "fy") if {term, focal} <= set(names)]
-    std = np.sqrt(np.diag(covariance))
-    return {(a, b): float(covariance[index[a], index[b]] / (std[index[a]] * std[index[b]])) for a, b in pairs}
