@@ -15,18 +15,7 @@ from camcal.cameras.model import Camera
 from camcal.errors import CamcalError, FileError, InvalidInput
 from camcal.formats.camera_file import CameraEntry, CameraFile
 from camcal.formats.cameras.recognition import ROWS, Row, named, recognise
-<<<<<<< HEAD
-from camcal.formats.cameras.record import (
-    CameraFormat,
-    Given,
-    Source,
-    expressed,
-    lost_coefficients,
-    name_of_topic,
-)
-=======
-from camcal.formats.cameras.record import ANY_FRAME, CameraFormat, Given, Source
->>>>>>> main
+from camcal.formats.cameras.record import ANY_FRAME, CameraFormat, Given, Source, name_of_topic
 from camcal.formats.native import implausible
 from camcal.geometry.pose import frames_of
 from camcal.images.videos import address_of
