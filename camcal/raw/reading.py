@@ -73,7 +73,12 @@ def read_mosaic(
     suffix = path.suffix.lower()
     with Located(path):
         if address_of(path) is not None:
-            return _read_message(path, pattern)
+            from camcal.images.bag import mosaic  # here, since it needs an extra
+
+            image, told = mosaic(path)
+            if told and pattern not in (None, told):
+                raise InvalidInput(f"pattern {told} in the message, {pattern} by --pattern; leave --pattern out")
+            return _bare(path, told or pattern, image)
         if suffix in HEADERLESS_SUFFIXES:
             complete = layout.complete(path, pattern)
             values, colours = read_headerless(path, complete)
@@ -88,28 +93,17 @@ def read_mosaic(
         return frame
 
 
-def _read_message(frame: Path, pattern: str | None) -> Mosaic:
-    """Return an image of a topic as a mosaic, of the pattern that its message tells or else the one given."""
-    from camcal.images.bag import mosaic  # here, since it needs an extra
-
-    image, told = mosaic(frame)
-    if told and pattern not in (None, told):
-        raise InvalidInput(f"pattern {told} in the message, {pattern} by --pattern; leave --pattern out")
-    if image.channels != 1:
-        raise InvalidInput(f"a mosaic has one channel, this image has {image.channels}: it is in colour already")
-    if not (found := told or pattern):
-        raise missing_pattern(frame)
-    return Mosaic(image.pixels, found, np.zeros((2, 2)), full_scale(image.pixels.dtype))
-
-
 def _read_bare(path: Path, pattern: str | None, content: bytes | None) -> Mosaic:
-    if pattern is None:
-        raise missing_pattern(path)
     if content is None and path.suffix.lower() == ".png":
         content = read_bytes(path)
     if content is not None and content.startswith(PNG) and png_has_colour(content):
         raise InvalidInput("a mosaic has one channel, this image has 3 or more: it is in colour already")
-    image = load(path, content=content)
+    return _bare(path, pattern, load(path, content=content))
+
+
+def _bare(path: Path, pattern: str | None, image: Image) -> Mosaic:
+    if pattern is None:
+        raise missing_pattern(path)
     if image.channels != 1:
         raise InvalidInput(f"a mosaic has one channel, this image has {image.channels}: it is in colour already")
     values = image.pixels
