@@ -17,6 +17,7 @@ from camcal.errors import CamcalError, FileError, InvalidInput
 from camcal.formats import cameras
 from camcal.formats.camera_file import CameraEntry, CameraFile, Transform
 from camcal.formats.cameras import FORMATS
+from camcal.formats.cameras.nearest import Nearest
 from camcal.formats.cameras.record import Given, MissingSize, Source
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
@@ -369,7 +370,7 @@ def test_lenses_are_written_exactly_or_not_at_all(tmp_path):
     ):
         written(tmp_path, one("opencv14"), "ros", ".yaml")
     with pytest.raises(
-        InvalidInput, match=r"with k3 = .*accept it with --max-error .*, or calibrate with --model opencv4"
+        InvalidInput, match=r"with k3 = .*accept it with --max-error .*, calibrate with --model opencv4, undistort"
     ):
         written(tmp_path, one("opencv5"), "kalibr", ".yaml")
     with pytest.raises(InvalidInput, match=r"with k5 = .*; the nearest kannala_brandt4 is off by up to"):
@@ -384,8 +385,8 @@ def test_a_lens_that_a_format_does_not_have_is_written_within_an_error_that_is_a
     lens = Camera(MODELS["opencv5"], (640, 480), [536.0, 536.0, 342.0, 236.0, -0.266, -0.0386, 1.8e-3, -2.8e-4, 0.238])
     file = CameraFile({"camera": CameraEntry(lens)})
     with pytest.raises(InvalidInput, match=r"is off by up to 3\.72 px .*: accept it with --max-error 3\.8,"):
-        cameras.write(tmp_path / "chain.yaml", file, FORMATS["kalibr"], 3.6)
-    cameras.write(tmp_path / "chain.yaml", file, FORMATS["kalibr"], 3.8)
+        cameras.write(tmp_path / "chain.yaml", file, FORMATS["kalibr"], Nearest(max_error_px=3.6))
+    cameras.write(tmp_path / "chain.yaml", file, FORMATS["kalibr"], Nearest(max_error_px=3.8))
     near = cameras.read_camera(tmp_path / "chain.yaml")
     rays = lens.unproject(np.array([(0.0, 0.0), (639.0, 0.0), (320.0, 240.0), (639.0, 479.0)]))
     apart = np.linalg.norm(near.project(rays.directions).pixels - lens.project(rays.directions).pixels, axis=1)

@@ -5,27 +5,24 @@ A format is a module with its FORMAT and a row of `recognition`; it is loaded wh
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from importlib import import_module
-from math import ceil, floor, isfinite, log10
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from camcal import files
-from camcal.cameras.catalogue import MODELS
-from camcal.cameras.identities import same_lens
 from camcal.cameras.model import Camera
 from camcal.errors import CamcalError, FileError, InvalidInput
 from camcal.formats.camera_file import CameraEntry, CameraFile
 from camcal.formats.cameras.recognition import ROWS, Row, named, recognise
-from camcal.formats.cameras.record import CameraFormat, Given, Source, expressed, lost_coefficients
+from camcal.formats.cameras.record import ANY_FRAME, CameraFormat, Given, Source
 from camcal.formats.native import implausible
 from camcal.geometry.pose import frames_of
 from camcal.parsing import did_you_mean
 from camcal.progress import SILENT, Progress, warn_of
 
 if TYPE_CHECKING:
-    from camcal.cameras.refit import Refit
+    from camcal.formats.cameras.nearest import Nearest
 
 OWN = "camcal"
 
@@ -205,85 +202,13 @@ def _meant_by(path: Path) -> CameraFormat | Row | None:
     """Return the one format that a path can mean, a row that is not written, or None where it may mean several."""
     row = named(path.name)
     if row is not None:
-        return row if row.instead else FORMATS[row.name]
+        return FORMATS[row.name] if row.name else row
     known = _with_suffix(path)
     return known[0] if len(known) == 1 else None
 
 
 def _with_suffix(path: Path) -> list[CameraFormat]:
     return [form for form in (FORMATS[name] for name in _USUAL) if path.suffix.lower() in form.suffixes]
-
-
-@dataclass(frozen=True, eq=False)
-class Prepared:
-    """A camera file with lenses that a format has; refits: by the names of cameras, those that are not exact."""
-
-    file: CameraFile
-    refits: Mapping[str, "Refit"]
-
-
-def prepared(file: CameraFile, form: CameraFormat, where: str, max_error_px: float | None = None) -> Prepared:
-    """Return a camera file with its lenses as a format can write them: exactly, or the nearest within max_error_px.
-
-    Raises InvalidInput, saying what would be lost and what to do, for more cameras than it holds, and for a lens that
-    none of its models is.
-    """
-    if form.most_cameras is not None and len(file.cameras) > form.most_cameras:
-        names = ", ".join(file.cameras)
-        most = f"{form.most_cameras} camera{'s' * (form.most_cameras > 1)}"
-        raise InvalidInput(f"{form.title} holds {most}, not {names}: write them one by one, FILE#NAME", where=where)
-    refits: dict[str, Refit] = {}
-    entries: dict[str, CameraEntry] = {}
-    for name, entry in file.cameras.items():
-        camera = _exact(entry.camera, form)
-        if camera is None:
-            refits[name] = _nearest(entry.camera, name, form, max_error_px, where)
-            camera = refits[name].camera
-        entries[name] = replace(entry, camera=camera)
-    return Prepared(replace(file, cameras=entries), refits)
-
-
-def _exact(camera: Camera, form: CameraFormat) -> Camera | None:
-    """Return a camera in the lens model that a format writes it as, None if that has none which is the same."""
-    for same in same_lens(camera):
-        row = form.lenses.row(same) if form.lenses is not None else None
-        if row is not None or form.lenses is None:
-            found = expressed(same, (row.model, *form.models) if row is not None else form.models)
-            if found is not None:
-                return found
-    return None
-
-
-def _nearest(camera: Camera, name: str, form: CameraFormat, max_error_px: float | None, where: str) -> "Refit":
-    """Return the nearest lens of a format's models; raises InvalidInput if it is off by more than is accepted."""
-    from camcal.cameras.refit import refit
-
-    family = [MODELS[model] for model in form.models if type(MODELS[model]) is type(camera.model)]
-    if not family:
-        what = f"{name}: {camera.model.name} cannot be written to {form.title}"
-        raise InvalidInput(f"{what}, whose lens models are {', '.join(form.models)}", where=where)
-    model = max(family, key=lambda each: len(each.parameter_names))
-    found = refit(camera, model)
-    if max_error_px is not None and found.max_px <= max_error_px:
-        return found
-    lost = ", ".join(f"{key} = {value:.4g}" for key, value in lost_coefficients(camera, form.models).items())
-    if not isfinite(found.max_px):
-        off = "does not cover the image"
-        accepted = ""
-    else:
-        off = f"is off by up to {found.max_px:.3g} px ({found.rms_px:.2g} px RMS)"
-        accepted = f"accept it with --max-error {_above(found.max_px)}, or "
-    raise InvalidInput(
-        f"{name}: {form.title} has no lens model with {lost}; the nearest {model.name} {off}: "
-        f"{accepted}calibrate with --model {model.name}",
-        where=where,
-    )
-
-
-def _above(value: float) -> str:
-    """Return a number of two digits that is not below a value."""
-    scale = 10.0 ** (floor(log10(value)) - 1)
-    return f"{ceil(value / scale) * scale:.2g}"
 
 
 def left_out(file: CameraFile, form: CameraFormat) -> tuple[str, ...]:
@@ -310,15 +235,17 @@ def _left_out(file: CameraFile, form: CameraFormat) -> Iterator[str]:
     }
     yield from (name for name, there in held.items() if there and name not in form.keeps)
     every = [frame for name in file.transforms for frame in frames_of(name)]
-    for name in file.transforms:
+    for name in file.transforms if form.frames != ANY_FRAME else ():
         ends = [frame for frame in frames_of(name) if every.count(frame) == 1]
         if any(frame not in file.cameras and frame not in form.frames for frame in ends):
             yield name
 
 
-def write(path: Path, file: CameraFile, form: CameraFormat, max_error_px: float | None = None) -> None:
-    """Write a camera file in a format, every number with all its digits.
+def write(path: Path, file: CameraFile, form: CameraFormat, nearest: "Nearest | None" = None) -> None:
+    """Write a camera file in a format, every number with all its digits; by default its lenses exactly.
 
-    Raises InvalidInput as `prepared` does, and for what the format's own `write` says; FileError.
+    Raises InvalidInput as `nearest.prepared` does, and for what the format's own `write` says; FileError.
     """
-    form.write(path, prepared(file, form, str(path), max_error_px).file)
+    from camcal.formats.cameras.nearest import EXACT, prepared
+
+    form.write(path, prepared(file, form, str(path), nearest or EXACT).file)

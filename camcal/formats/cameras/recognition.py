@@ -24,7 +24,8 @@ class Row(NamedTuple):
     """A family of camera files.
 
     signs: patterns that all occur in its text; of a binary file in its bytes as Latin-1. names: of files that are
-    written as this family without --to. title, instead: of a family that is not read, and the way out.
+    written as this family without --to. title, instead: of a family that is not read, and the way out; with a name it
+    is written all the same.
     """
 
     name: str
@@ -42,8 +43,7 @@ def _key(name: str) -> str:
 ROWS = (
     Row("camcal_native", (r"^[\"']?format[\"']?[ \t]*:[ \t]*[\"']?camcal-calibration",)),
     Row("", (r"\A(?:\x93NUMPY|PK\x03\x04)",), (), "NumPy arrays", _BY_NUMBERS),
-    Row("", (r"\A#usda|\APXR-USDC",), ("*.usd", "*.usda", "*.usdc"), "USD camera (Isaac, Omniverse, Blender)",
-        _BY_NUMBERS),
+    Row("isaac", (r"\A#usda|\APXR-USDC",), ("*.usda",), "USD camera (Isaac, Omniverse, Blender)", _BY_NUMBERS),
     Row("", (r"\ABLENDER",), ("*.blend",), "Blender scene",
         "give --camera-matrix: fx is focal length / sensor width x image width"),
     Row("", (r"\APix4D camera calibration file",), ("*.cam",), "Pix4D calibrated internal parameters",
@@ -68,7 +68,9 @@ ROWS = (
         "export the scene to COLMAP and give cameras.txt"),
     Row("", (r"stCamera:|photoshop/1.0/camera-profile",), ("*.lcp",), "Adobe lens profile",
         "it has no pixels: calibrate with images of a board"),
-    Row("", (r"<robot[\s>]",), ("*.urdf", "*.xacro"), "URDF robot", "give the camera_info of its camera"),
+    Row("urdf", (r"<robot[\s>]",), ("*.urdf", "*.xacro"), "URDF robot", "give the camera_info of its camera"),
+    Row("ros_tf", (r"<launch[\s>]",), ("*.launch", "*.launch.xml"), "ROS launch file",
+        "give the camera_info of its camera"),
     Row("", (r"<lensdatabase[\s>]",), ("*lensfun*.xml",), "lensfun lens database",
         "it has no pixels: calibrate with images of a board"),
     Row("metashape", (r"<(?:sensor|calibration)\s[^>]{0,200}?(?:type|class)=|<calibration>\s*<pro|<document version=",),
