@@ -18,12 +18,12 @@ LINES = {
     "__main__": 6,
     "arrays": 42,
     "calibrate": 7729,
-    "cameras": 3285,
+    "cameras": 3363,
     "cli": 3653,
     "errors": 137,
     "estimate": 8715,
     "files": 398,
-    "formats": 12654,
+    "formats": 12660,
     "geometry": 963,
     "images": 2160,
     "messages": 228,
@@ -45,8 +45,8 @@ LINES = {
     "tasks": 23689,
     "urls": 99,
 }
-PARTS = {"modules": 464, "records": 695, "records named in one module": 211, "short functions with one reference": 495}
-PASSED = {"modules": 155, "functions": 1153, "records": 138}  # from a table of detections to a camera file
+PARTS = {"modules": 464, "records": 697, "records named in one module": 213, "short functions with one reference": 495}
+PASSED = {"modules": 155, "functions": 1155, "records": 140}  # from a table of detections to a camera file
 SHORT = 5  # lines of a function's body, which could as well stand where it is called
 
 
