@@ -304,7 +304,7 @@ BAD = {
     f"{BOTH}K: [500, 0, 0, 0, 500, 0, 320, 240, 1]\nD: [0, 0, 0, 0, 0]\n": "possibly transposed: cx, cy in the last",
     f"{BOTH}camera_matrix: {K}distortion_coefficients: [1.0, 2.0, 3.0]\n": "3 coefficients; OpenCV's lenses have 4, 5",
     f"{BOTH}camera_matrix: {K}": "",
-    f"{BOTH}{LENS}xi: 1.2\n": "omnidir",
+    f"{BOTH}{LENS}xi: 1.2\n": "5 coefficients; cv2.omnidir has 4",
     f"image_width: 64.5\nimage_height: 480\n{LENS}": "64.5 is not a number of pixels",
     f"{BOTH}{LENS}camera_matrix: {K}": "duplicate key",
     f"a: &a [1, 1]\n{BOTH}{LENS}": "anchor &a not supported",

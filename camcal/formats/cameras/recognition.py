@@ -13,6 +13,10 @@ _CAMCHAIN = (r"^cam\d+[ \t]*:", r"^[ \t]+(?:camera_model|intrinsics)[ \t]*:")
 _COLMAP_MODELS = "(?:SIMPLE_|FULL_|RAD_TAN_)?(?:PINHOLE|RADIAL|OPENCV|FOV|THIN_|DIVISION|FISHEYE|EUCM|EQUIRECT)"
 # a count of 64 bits, then id, model, width and height of the first camera, little endian, none of them 0 but the id
 _COLMAP_BINARY = r"\A(?!\0\0)[\s\S]{2}\0{6}[\s\S]{3}\0[\0-\x14]\0{3}(?:(?!\0{3})[\s\S]{3}\0{5}){2}"
+# a count, then number and sensors of the first rig, type (camera) and number of its first sensor
+_COLMAP_RIGS = (
+    r"\A(?!\0\0)[\s\S]{2}\0{6}[\s\S]{2}\0{2}[\1-\xff]\0{7}[\s\S]{2}\0{2}(?:\Z|[\0\1]\0{3}[\s\S]{2}\0{2}[\0\1])"
+)
 _OPENCV = (
     "camera_matrix|Camera_Matrix|cameraMatrix|CameraMatrix|camera_Matrix|intrinsic_matrix|K|mtx|M1|K1|cameraMatrix1"
 )
@@ -51,7 +55,7 @@ ROWS = (
     Row("", (r"\A# Bundle file",), ("*.out",), "Bundler", "import it in COLMAP and give cameras.txt"),
     Row("", (r"\ANVM_V3",), ("*.nvm",), "VisualSFM", "import it in COLMAP and give cameras.txt"),
     Row("", (r"^#?[ \t]*(?:IMAGE_ID, QW|Image list with|3D point list)",),
-        ("images.txt", "images.bin", "points3D.*", "frames.bin", "rigs.bin"),
+        ("images.txt", "images.bin", "points3D.*", "frames.*"),
         "COLMAP images and points", "give cameras.txt of the same model"),
     Row("", (r"^(?:ParGroup: Cameras|#? *INTERNAL CAMERA PARAMETERS)",), ("*.cal",), "HALCON camera parameters",
         _BY_NUMBERS),
@@ -101,6 +105,7 @@ ROWS = (
     Row("open3d", (_key("intrinsic_matrix"), _key("width")), ("*open3d*.json",)),
     # what is told by a few keys or words of its own
     Row("colmap", (_COLMAP_BINARY,), ("cameras.bin",)),
+    Row("colmap", (_COLMAP_RIGS,), ("rigs.bin",)),
     Row("colmap", (rf"^\d+ {_COLMAP_MODELS}\w* \d+ \d+ |^# (?:Camera list with one|Rig calib list)",),
         ("cameras.txt", "rigs.txt")),
     Row("mrcal", (r"['\"]lensmodel['\"]\s*:",), ("*.cameramodel",)),

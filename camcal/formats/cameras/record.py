@@ -113,6 +113,10 @@ def write_only(program: str) -> Callable[[Sequence[Source], Given], CameraFile]:
 
 def opencv_usage(file: CameraFile) -> str:
     """Return with which of OpenCV's functions the cameras of a file are used: those of a fisheye are others."""
+    models = {entry.camera.model.name for entry in file.cameras.values()}
+    if "mei" in models:
+        how = "undistortImage(image, K, D, xi, cv2.omnidir.RECTIFY_PERSPECTIVE, Knew=K)"
+        return f"omnidirectional: use cv2.omnidir.{how}, not {OPENCV}.undistort"
     if any(entry.camera.model.opencv == FISHEYE for entry in file.cameras.values()):
         return f"fisheye: use {FISHEYE}.undistortImage(image, K, D, Knew=K), not {OPENCV}.undistort"
     return f"use {OPENCV}.undistort(image, K, D)"
