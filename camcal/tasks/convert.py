@@ -11,8 +11,9 @@ from camcal.cameras.catalogue import model_named
 from camcal.cameras.refit import Refit
 from camcal.errors import InvalidInput
 from camcal.formats import cameras, provenance
-from camcal.formats.camera_file import CameraFile, framed
+from camcal.formats.camera_file import CameraFile, Framing, framed
 from camcal.formats.cameras.nearest import Nearest, prepared
+from camcal.formats.cameras.recognition import named
 from camcal.formats.cameras.record import CameraFormat, Given
 from camcal.options import command_line
 from camcal.progress import SILENT, Progress
@@ -88,7 +89,10 @@ def convert(options: ConvertFileOptions, progress: Progress = SILENT) -> Convert
 def _convert_file(file: CameraFile, output: Path, source: CameraFormat, options: ConvertFileOptions) -> ConvertedFile:
     """Return what is to be written to an output."""
     one_of_several = len(options.outputs) > 1
-    target = cameras.format_for(output, options.to, source, by_suffix=one_of_several)
+    changed = options.refit is not None or framing_of(options.given) != Framing()
+    own = changed and output.suffix.lower() in cameras.FORMATS[cameras.OWN].suffixes
+    wanted = options.to or (cameras.OWN if own and not named(output.name) else None)
+    target = cameras.format_for(output, wanted, source, by_suffix=one_of_several)
     theta = math.inf if options.max_theta_deg is None else math.radians(options.max_theta_deg)
     refit = None if options.refit is None else model_named(options.refit).name
     if refit is not None and refit not in target.models:

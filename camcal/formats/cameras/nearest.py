@@ -6,11 +6,14 @@ from dataclasses import dataclass, replace
 from math import ceil, floor, isfinite, log10
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from camcal.arrays import FloatArray
 from camcal.cameras.catalogue import MODELS, model_named
 from camcal.cameras.identities import same_lens
 from camcal.cameras.lens import CameraModel
 from camcal.cameras.model import Camera
+from camcal.cameras.validity import ImageCircle
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.formats.camera_file import CameraEntry, CameraFile, ValidRegion, with_cameras
 from camcal.formats.cameras.record import CameraFormat, expressed, lost_coefficients
@@ -22,6 +25,7 @@ USUAL_ERROR_PX = 0.1  # of a lens that is to be of another model
 _PARTS = (85.0, 75.0, 60.0, 45.0)  # degrees from the axis, where no lens is near over the whole image
 _NEAR_PX = 1.0  # off by less than this a lens is worth being named
 _ROUNDING = 1e-9
+_AROUND = 72  # directions in which the edge of what is near is looked at
 
 
 @dataclass(frozen=True)
@@ -75,20 +79,34 @@ def prepared(file: CameraFile, form: CameraFormat, where: str, nearest: Nearest 
         else:
             entries[name] = replace(entry, camera=camera)
     file = with_cameras(replace(file, cameras=entries), changed)
-    entries = {name: _refitted(entry, refits.get(name)) for name, entry in file.cameras.items()}
+    limited = isfinite(nearest.max_theta)
+    entries = {name: _refitted(entry, refits.get(name), limited=limited) for name, entry in file.cameras.items()}
     file = replace(file, cameras=entries)
     return Prepared(replace(file, converted_from=_origin(file, refits)) if refits else file, refits)
 
 
-def _refitted(entry: CameraEntry, found: "Refit | None") -> CameraEntry:
-    """Return a camera with what is known of it as a refit leaves that."""
+def _refitted(entry: CameraEntry, found: "Refit | None", *, limited: bool) -> CameraEntry:
+    """Return a camera with what is known of it as a refit leaves that; limited: near up to an angle only."""
     if found is None:
         return entry
-    circle = entry.image_circle
+    circle = _lit(entry, found, limited=limited)
     valid = ValidRegion.of(entry.camera, circle)
     theta = min(found.max_theta, valid.max_theta or math.inf)
     polygon = entry.valid.polygon if entry.valid is not None else None
     return replace(entry, valid=replace(valid, max_theta=theta, polygon=polygon), held_by_prior=())
+
+
+def _lit(entry: CameraEntry, found: "Refit", *, limited: bool) -> ImageCircle | None:
+    """Return the image circle of a camera; of one that is near up to an angle only, the disc within that angle."""
+    if not limited:
+        return entry.image_circle
+    turns = np.linspace(0, 2 * np.pi, _AROUND, endpoint=False)
+    across = np.column_stack([np.cos(turns), np.sin(turns)]) * np.sin(found.max_theta)
+    edge = found.camera.project(np.column_stack([across, np.full(_AROUND, np.cos(found.max_theta))])).pixels
+    centre = (found.camera.value("cx"), found.camera.value("cy"))
+    disc = ImageCircle(found.camera.image_size, centre, float(np.nanmin(np.hypot(*(edge - centre).T))))
+    known = entry.image_circle
+    return known if known is not None and known.radius < disc.radius else disc
 
 
 def _origin(file: CameraFile, refits: Mapping[str, "Refit"]) -> dict[str, object]:

@@ -88,7 +88,7 @@ ROWS = (
         "export it to COLMAP and give cameras.txt"),
     Row("", (_key("CalibrationInformation"),), (), "Azure Kinect calibration", _BY_NUMBERS),
     Row("", (_key("CameraCalibrations"),), (), "Project Aria calibration",
-        "fisheye624 is no lens model of camcal: undistort the images with projectaria_tools"),
+        "write its fisheye624 as COLMAP's RAD_TAN_THIN_PRISM_FISHEYE, or undistort the images with projectaria_tools"),
     Row("", (_key(r"intrinsic_left\.x\.x"),), (), "RealSense advanced-mode table",
         "give the intrinsics that rs-enumerate-devices -c prints, as --camera-matrix and --distortion"),
     Row("", (_key("cam_K"),), ("scene_camera.json",), "BOP scene cameras", _BY_NUMBERS),
