@@ -10,6 +10,8 @@ import struct
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from functools import lru_cache
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -18,17 +20,15 @@ import numpy as np
 
 from camcal import opencv
 from camcal.arrays import Array
-from camcal.errors import FileError, InvalidInput
+from camcal.errors import FileError, InvalidInput, reason
 from camcal.images.files import load
 from camcal.images.image import Image
 from camcal.images.options import require_pixels
-from camcal.images.videos import address_of
-from camcal.parsing import did_you_mean
+from camcal.images.videos import address_of, file_of
 from camcal.urls import local
 
-CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
-
 _IMAGE, _COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
+_CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 _BAYER = re.compile(r"bayer_(rggb|bggr|gbrg|grbg)(8|16)\b")
 _ENCODINGS = {  # channels, bytes of one, OpenCV's conversion to blue, green, red
     **dict.fromkeys(("mono8", "8UC1"), (1, 1, None)),
@@ -56,9 +56,17 @@ class _Bag:
     reader: Any
     message: Callable[[bytes, str], Any]
 
-    def messages(self, topic: str) -> Iterator[tuple[int, Any]]:
-        """Yield the messages of a topic, each with the time at which it was recorded, ns."""
-        for connection, recorded_ns, content in self.reader.messages(self.topics[topic].connections):
+    def with_images(self, path: Path) -> list[str]:
+        """Return the topics with images; raises FileError if there are none."""
+        images = [name for name, each in self.topics.items() if each.msgtype in (_IMAGE, _COMPRESSED)]
+        if not images:
+            kinds = ", ".join(sorted({str(each.msgtype) for each in self.topics.values()})) or "it is empty"
+            raise FileError(f"holds no images of ROS ({kinds})", where=str(path))
+        return images
+
+    def messages(self, topic: str, from_ns: int | None = None) -> Iterator[tuple[int, Any]]:
+        """Yield the messages of a topic from a time on, each with the time at which it was recorded, ns."""
+        for connection, recorded_ns, content in self.reader.messages(self.topics[topic].connections, from_ns):
             yield recorded_ns, self.message(content, connection.msgtype)
 
 
@@ -72,19 +80,22 @@ def addressed(path: Path) -> Path:
         return path
     bag, topic = address
     with _open(bag) as opened:
-        images = [name for name, each in opened.topics.items() if each.msgtype in (_IMAGE, _COMPRESSED)]
-        if not images:
-            kinds = ", ".join(sorted({str(each.msgtype) for each in opened.topics.values()})) or "it is empty"
-            raise FileError(f"holds no images of ROS ({kinds})", where=str(bag))
+        images = opened.with_images(bag)
         if topic in images or (not topic and len(images) == 1):
             return Path(f"{bag}#{topic or images[0]}")
-        if topic in opened.topics:
-            raise InvalidInput(f"has messages of {opened.topics[topic].msgtype}, no images", where=f"{bag}#{topic}")
         listed = ", ".join(f"{name} ({_in_words(opened, name, bag)})" for name in images)
+        kind = opened.topics[topic].msgtype if topic in opened.topics else None
     if topic:
-        raise InvalidInput(f"no topic {topic!r}{did_you_mean(topic, images)}; with images: {listed}", where=str(bag))
+        what = f"topic {topic} has {kind}" if kind else f"no topic {topic}"
+        raise InvalidInput(f"{what}; with images: {listed}", where=str(bag))
     example = f"{bag}#{images[0]}"
     raise InvalidInput(f"holds {len(images)} image topics, {listed}: choose one, such as {example}", where=str(bag))
+
+
+def topics(path: Path) -> list[Path]:
+    """Return the paths of all topics with images of a bag; raises FileError."""
+    with _open(path) as opened:
+        return [Path(f"{path}#{name}") for name in opened.with_images(path)]
 
 
 def _in_words(bag: _Bag, topic: str, path: Path) -> str:
@@ -103,8 +114,8 @@ def _open(path: Path) -> Iterator[_Bag]:
 
     Raises InvalidInput if rosbags is not installed.
     """
-    if not path.exists():
-        raise FileError("no such file", where=str(path))
+    if not path.exists() or not path.stat().st_size:
+        raise FileError("is empty" if path.exists() else "no such file", where=str(path))
     try:
         from apsw import Error as SqliteError
         from rosbags import rosbag1, rosbag2
@@ -125,8 +136,8 @@ def _open(path: Path) -> Iterator[_Bag]:
 
 
 _DAMAGE = (  # what else rosbags and what it uses raise of damaged bags
-    *(AssertionError, AttributeError, EOFError, LookupError, OverflowError, RuntimeError, TypeError, ValueError),
-    struct.error,
+    *(AssertionError, AttributeError, EOFError, LookupError, MemoryError, OSError, OverflowError, RuntimeError),
+    *(TypeError, ValueError, struct.error),
 )
 
 
@@ -140,10 +151,10 @@ def _unreadable(path: Path, error: Exception) -> FileError:
     if found is not None:
         advice = "record or convert them to sensor_msgs/msg/Image or CompressedImage"
         return FileError(f"holds {found[0].decode()} messages, which are not read: {advice}", where=str(path))
-    words = " ".join(str(error).split()).rstrip(".") or type(error).__name__
+    words = reason(error) if isinstance(error, OSError) else " ".join(str(error).split()).rstrip(".")
     repair = _REPAIRS.get(path.suffix.lower())
     advice = f"; '{repair}' may repair it" if repair else ""
-    return FileError(f"not a readable bag, or truncated ({words}){advice}", where=str(path))
+    return FileError(f"not a readable bag, or truncated ({words or type(error).__name__}){advice}", where=str(path))
 
 
 def frames(path: Path) -> Iterator[Image]:
@@ -152,14 +163,34 @@ def frames(path: Path) -> Iterator[Image]:
     Raises FileError if the bag cannot be read, a message is no image or of an encoding that is not read, or there is
     none.
     """
-    for image, pattern in mosaics(path):
+    for _, message in _messages(path):
+        image, pattern = _decoded(message, path), _pattern(message)
         yield Image(opencv.demosaiced(image.pixels, opencv.BILINEAR[pattern])) if pattern else image
 
 
-def mosaics(path: Path) -> Iterator[tuple[Image, str]]:
-    """Yield the images of a topic as recorded, each with its Bayer pattern, empty for others; see `frames`."""
-    for _, message in _messages(path):
-        yield _decoded(message, path), _pattern(message)
+def mosaic(frame: Path) -> tuple[Image, str]:
+    """Return an image of a topic as it was recorded, and its Bayer pattern, empty for none; see `frames`.
+
+    frame: its path, as `video.frame_name` makes it. Raises FileError as `frames` does.
+    """
+    path, number = frame.with_name(frame.name.rpartition("_")[0]), int(frame.name.rpartition("_")[2])
+    times = _recorded_ns(path, file_of(path).stat().st_mtime_ns)
+    same = int(np.searchsorted(times[:number], times[number]))  # messages of that time come before it
+    messages = (message for _, message in _messages(path, times[number]))
+    message = next(islice(messages, number - same, None))
+    return _decoded(message, path), _pattern(message)
+
+
+@lru_cache(maxsize=4)
+def _recorded_ns(path: Path, _changed_ns: int) -> tuple[int, ...]:
+    return tuple(recorded_ns for recorded_ns, _ in _messages(path))
+
+
+def count(path: Path) -> int:
+    """Return how many images a topic has."""
+    bag, topic = address_of(path) or (path, "")
+    with _open(bag) as opened:
+        return int(opened.topics[topic].msgcount)
 
 
 def stamps(path: Path) -> Array:
@@ -171,19 +202,21 @@ def stamps(path: Path) -> Array:
     return both[:, 0 if both[:, 0].any() else 1] / 1e9
 
 
-def camera_infos(path: Path) -> dict[str, Any]:
-    """Return the first sensor_msgs/CameraInfo of every topic of a bag that has such messages."""
+def camera_infos(path: Path) -> list[tuple[str, Any]]:
+    """Return the topics of a bag that have a sensor_msgs/CameraInfo, with the first of each; raises FileError."""
     with _open(path) as bag:
-        topics = [name for name, each in bag.topics.items() if each.msgtype == CAMERA_INFO and each.msgcount]
-        return {name: next(bag.messages(name))[1] for name in topics}
+        topics = [name for name, each in bag.topics.items() if each.msgtype == _CAMERA_INFO and each.msgcount]
+        if not topics:
+            raise FileError("holds no sensor_msgs/CameraInfo", where=str(path))
+        return [(name, next(bag.messages(name))[1]) for name in topics]
 
 
-def _messages(path: Path) -> Iterator[tuple[int, Any]]:
+def _messages(path: Path, from_ns: int | None = None) -> Iterator[tuple[int, Any]]:
     bag, topic = address_of(path) or (path, "")
     with _open(bag) as opened:
         if topic not in opened.topics or not opened.topics[topic].msgcount:
             raise FileError("holds no messages", where=str(path))
-        yield from opened.messages(topic)
+        yield from opened.messages(topic, from_ns)
 
 
 def _pattern(message: Any) -> str:
