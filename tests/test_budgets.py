@@ -18,12 +18,12 @@ LINES = {
     "__main__": 6,
     "arrays": 42,
     "calibrate": 7729,
-    "cameras": 3363,
+    "cameras": 3593,
     "cli": 3653,
     "errors": 137,
     "estimate": 8715,
     "files": 398,
-    "formats": 12774,
+    "formats": 12859,
     "geometry": 963,
     "images": 2193,
     "messages": 228,
@@ -45,8 +45,8 @@ LINES = {
     "tasks": 23721,
     "urls": 99,
 }
-PARTS = {"modules": 464, "records": 697, "records named in one module": 213, "short functions with one reference": 500}
-PASSED = {"modules": 155, "functions": 1156, "records": 140}  # from a table of detections to a camera file
+PARTS = {"modules": 466, "records": 701, "records named in one module": 217, "short functions with one reference": 500}
+PASSED = {"modules": 156, "functions": 1163, "records": 143}  # from a table of detections to a camera file
 SHORT = 5  # lines of a function's body, which could as well stand where it is called
 
 
