@@ -22,11 +22,13 @@ _CODES = {
 }
 
 
-def write_bag(folder: Path, kind: str, topics: Mapping[str, Iterable[Any]], offset_ns: int = 0) -> Path:
+def write_bag(
+    folder: Path, kind: str, topics: Mapping[str, Iterable[Any]], offset_ns: int = 0, stamped: bool = True
+) -> Path:
     """Write messages of topics and return the bag: a file for ROS 1, a folder for ROS 2.
 
     topics: messages as (type, fields), the fields without the header; messages of one place in their topics have one
-    time. They are recorded offset_ns after their stamps.
+    time. They are recorded offset_ns after their stamps, which are 0 where they are not stamped.
     """
     first = kind == "bag"
     store = _STORES[first]
@@ -46,7 +48,7 @@ def write_bag(folder: Path, kind: str, topics: Mapping[str, Iterable[Any]], offs
                 if name not in connections:
                     connections[name] = writer.add_connection(name, message_type, typestore=store)
                 stamp_ns = START_NS + index * STEP_NS
-                message = made(message_type, fields, stamp_ns, first=first)
+                message = made(message_type, fields, stamp_ns if stamped else 0, first=first)
                 data = (store.serialize_ros1 if first else store.serialize_cdr)(message, message_type)
                 writer.write(connections[name], stamp_ns + offset_ns, data)
             index += 1

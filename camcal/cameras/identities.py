@@ -13,7 +13,9 @@ import numpy as np
 from camcal.cameras.catalogue import MODELS
 from camcal.cameras.model import Camera
 
+_FOUR = ("fx", "fy", "cx", "cy", "k1", "k2", "k3", "k4")
 Values = Mapping[str, float]
+Steps = dict[str, tuple[tuple[str, bool, Values], ...]]
 
 
 def same_lens(camera: Camera) -> tuple[Camera, ...]:
@@ -38,7 +40,7 @@ def _steps(camera: Camera, values: Values) -> Iterator[tuple[str, Values]]:
     alpha, xi = values.get("alpha", 0.0), values.get("xi", 0.0)
     bare = not any(values.get(name) for name in ("k1", "k2", "p1", "p2"))
     ratio = alpha / (1.0 - alpha) if alpha < 1 else np.inf
-    steps: Mapping[str, tuple[tuple[str, bool, Values], ...]] = {
+    steps: Steps = {
         "pinhole": (("ucm", True, core), ("mei", True, core), ("division", True, core)),
         "ucm": (
             ("eucm", True, {**values, "beta": 1.0}),
@@ -53,9 +55,41 @@ def _steps(camera: Camera, values: Values) -> Iterator[tuple[str, Values]]:
             ("double_sphere", bare and xi <= 1, values),
         ),
     }
+    steps |= _fisheye_steps(values)
     if camera.model.is_pinhole(camera.parameters):
         yield "pinhole", core
     yield from ((other, found) for other, holds, found in steps.get(camera.model.name, ()) if holds)
+
+
+def _fisheye_steps(values: Values) -> Steps:
+    """Return the steps between fisheyes with a polynomial, whose coefficients have other names in fisheye624."""
+    four, p1, p2 = {name: values.get(name, 0.0) for name in _FOUR}, values.get("p1", 0.0), values.get("p2", 0.0)
+    zero = {name for name, value in values.items() if value == 0}
+    further = values.keys() - zero - four.keys()
+    aria = {f"k{index}": values.get(f"k{index + 1}", 0.0) for index in range(5)}
+    back = {f"k{index + 1}": values.get(f"k{index}", 0.0) for index in range(5)}
+    return {
+        "kannala_brandt4": (
+            ("fisheye62", True, four),
+            ("thin_prism_fisheye", True, four),
+            ("kannala_brandt5t", True, four),
+        ),
+        "kannala_brandt5t": (
+            ("kannala_brandt4", not further, four),
+            ("fisheye624", True, {**four, **aria, "p0": p2, "p1": p1}),
+            ("fisheye62", not further - {"k5"}, values),
+        ),
+        "fisheye62": (("kannala_brandt5t", not further - {"k5"}, values), ("opensfm_fisheye624", True, values)),
+        "opensfm_fisheye624": (("fisheye62", not further - {"k5", "k6", "p1", "p2"}, values),),
+        "thin_prism_fisheye": (("kannala_brandt4", not further, four),),
+        "fisheye624": (
+            (
+                "kannala_brandt5t",
+                not further - {"k0", "p0", "p1"} and not values.get("k5"),
+                {**four, **back, "p1": p1, "p2": values.get("p0", 0.0)},
+            ),
+        ),
+    }
 
 
 def _stretched(core: Values, scale: float) -> Values:

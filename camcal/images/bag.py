@@ -9,7 +9,8 @@ import re
 import struct
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from functools import lru_cache
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -18,17 +19,15 @@ import numpy as np
 
 from camcal import opencv
 from camcal.arrays import Array
-from camcal.errors import FileError, InvalidInput
+from camcal.errors import FileError, InvalidInput, reason
 from camcal.images.files import load
 from camcal.images.image import Image
 from camcal.images.options import require_pixels
-from camcal.images.videos import address_of
-from camcal.parsing import did_you_mean
+from camcal.images.videos import address_of, file_of
 from camcal.urls import local
 
-CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
-
 _IMAGE, _COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
+_CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 _BAYER = re.compile(r"bayer_(rggb|bggr|gbrg|grbg)(8|16)\b")
 _ENCODINGS = {  # channels, bytes of one, OpenCV's conversion to blue, green, red
     **dict.fromkeys(("mono8", "8UC1"), (1, 1, None)),
@@ -46,65 +45,55 @@ _ENCODINGS = {  # channels, bytes of one, OpenCV's conversion to blue, green, re
 _FOREIGN = re.compile(rb"foxglove(?:_msgs/msg/|\.)(?:Raw|Compressed)(?:Image|Video)")
 _ENDS = 1 << 20  # bytes at either end of a file in which the names of message types are
 _REPAIRS = {".bag": "rosbag reindex", ".mcap": "mcap recover"}
-
-
-@dataclass(frozen=True, eq=False)
-class _Bag:
-    """An open bag: its topics as rosbags has them, its reader, and what makes a message of bytes and its type."""
-
-    topics: Mapping[str, Any]
-    reader: Any
-    message: Callable[[bytes, str], Any]
-
-    def messages(self, topic: str) -> Iterator[tuple[int, Any]]:
-        """Yield the messages of a topic, each with the time at which it was recorded, ns."""
-        for connection, recorded_ns, content in self.reader.messages(self.topics[topic].connections):
-            yield recorded_ns, self.message(content, connection.msgtype)
+_Messages = Callable[..., Iterator[tuple[int, Any]]]
 
 
 def addressed(path: Path) -> Path:
-    """Return the path of a topic with images: of the only one in a bag, or the one that is addressed.
+    """Return the path of the topic with images that a path stands for; any other path is itself.
 
-    Any other path is itself. Raises InvalidInput for several, with all of them, and for a topic without images;
-    FileError for a bag without any.
+    Raises InvalidInput for a bag with several, with all of them, and as `topics_of` does.
     """
-    if (address := address_of(path)) is None:
-        return path
-    bag, topic = address
-    with _open(bag) as opened:
-        images = [name for name, each in opened.topics.items() if each.msgtype in (_IMAGE, _COMPRESSED)]
+    found = [path] if address_of(path) is None else topics_of(path)
+    if len(found) == 1:
+        return found[0]
+    listed = ", ".join(f"{(address_of(each) or '')[1]} ({_in_words(each)})" for each in found)
+    raise InvalidInput(f"holds {len(found)} image topics, {listed}: choose one, such as {found[0]}", where=str(path))
+
+
+def topics_of(path: Path) -> list[Path]:
+    """Return the paths of the topics with images that a bag holds, or of the one that is addressed.
+
+    Raises InvalidInput for a topic without images, with those that have some; FileError for a bag without any.
+    """
+    bag, topic = address_of(path) or (path, "")
+    with _open(bag) as (topics, _):
+        images = [name for name, each in topics.items() if each.msgtype in (_IMAGE, _COMPRESSED)]
         if not images:
-            kinds = ", ".join(sorted({str(each.msgtype) for each in opened.topics.values()})) or "it is empty"
+            kinds = ", ".join(sorted({str(each.msgtype) for each in topics.values()})) or "it is empty"
             raise FileError(f"holds no images of ROS ({kinds})", where=str(bag))
-        if topic in images or (not topic and len(images) == 1):
-            return Path(f"{bag}#{topic or images[0]}")
-        if topic in opened.topics:
-            raise InvalidInput(f"has messages of {opened.topics[topic].msgtype}, no images", where=f"{bag}#{topic}")
-        listed = ", ".join(f"{name} ({_in_words(opened, name, bag)})" for name in images)
-    if topic:
-        raise InvalidInput(f"no topic {topic!r}{did_you_mean(topic, images)}; with images: {listed}", where=str(bag))
-    example = f"{bag}#{images[0]}"
-    raise InvalidInput(f"holds {len(images)} image topics, {listed}: choose one, such as {example}", where=str(bag))
+        if topic and topic not in images:
+            what = f"topic {topic} has {topics[topic].msgtype}" if topic in topics else f"no topic {topic}"
+            raise InvalidInput(f"{what}; with images: {', '.join(images)}", where=str(bag))
+    return [Path(f"{bag}#{name}") for name in ([topic] if topic else images)]
 
 
-def _in_words(bag: _Bag, topic: str, path: Path) -> str:
+def _in_words(topic: Path) -> str:
     """Return how many images a topic has and of which size."""
-    count = bag.topics[topic].msgcount
     try:
-        size = next((_decoded(message, path).size for _, message in bag.messages(topic)), None)
+        return f"{count(topic)} of {'{}x{}'.format(*next(frames(topic)).size)}"
     except FileError as error:
-        return f"{count}, {error.message}"
-    return f"{count} of {'{}x{}'.format(*size)}" if size else "none"
+        return error.message
 
 
 @contextmanager
-def _open(path: Path) -> Iterator[_Bag]:
-    """Open a bag for reading; what rosbags raises of damaged ones within the block becomes FileError.
+def _open(path: Path) -> Iterator[tuple[Mapping[str, Any], _Messages]]:
+    """Give the topics of a bag, as rosbags has them, and what yields the messages of one from a time on, if there is
+    one, each with the time at which it was recorded, ns.
 
-    Raises InvalidInput if rosbags is not installed.
+    Raises InvalidInput if rosbags is not installed, FileError for what rosbags raises of damaged ones within the block.
     """
-    if not path.exists():
-        raise FileError("no such file", where=str(path))
+    if not path.exists() or not path.stat().st_size:
+        raise FileError("is empty" if path.exists() else "no such file", where=str(path))
     try:
         from apsw import Error as SqliteError
         from rosbags import rosbag1, rosbag2
@@ -119,31 +108,35 @@ def _open(path: Path) -> Iterator[_Bag]:
         with (rosbag1.Reader if is_first else rosbag2.Reader)(local(path)) as reader:
             store = get_typestore(Stores.ROS1_NOETIC if is_first else Stores.LATEST)
             topics = {f"/{name.lstrip('/')}": each for name, each in reader.topics.items()}
-            yield _Bag(topics, reader, store.deserialize_ros1 if is_first else store.deserialize_cdr)
+            decode = store.deserialize_ros1 if is_first else store.deserialize_cdr
+
+            def messages(topic: str, from_ns: int | None = None) -> Iterator[tuple[int, Any]]:
+                for connection, recorded_ns, content in reader.messages(topics[topic].connections, from_ns):
+                    yield recorded_ns, decode(content, connection.msgtype)
+
+            yield topics, messages
     except damage as error:
         raise _unreadable(path, error) from error
 
 
 _DAMAGE = (  # what else rosbags and what it uses raise of damaged bags
-    *(AssertionError, AttributeError, EOFError, LookupError, OverflowError, RuntimeError, TypeError, ValueError),
-    struct.error,
+    *(AssertionError, AttributeError, EOFError, LookupError, MemoryError, OSError, OverflowError, RuntimeError),
+    *(TypeError, ValueError, struct.error),
 )
 
 
 def _unreadable(path: Path, error: Exception) -> FileError:
     """Return the error of a bag that rosbags does not read: of another program's messages, or damaged."""
-    found = None
     with suppress(OSError), local(path).open("rb") as stream:
         start = stream.read(_ENDS)
         stream.seek(max(0, stream.seek(0, 2) - _ENDS))
-        found = _FOREIGN.search(start + stream.read())
-    if found is not None:
-        advice = "record or convert them to sensor_msgs/msg/Image or CompressedImage"
-        return FileError(f"holds {found[0].decode()} messages, which are not read: {advice}", where=str(path))
-    words = " ".join(str(error).split()).rstrip(".") or type(error).__name__
+        if found := _FOREIGN.search(start + stream.read()):
+            advice = "record or convert them to sensor_msgs/msg/Image or CompressedImage"
+            return FileError(f"holds {found[0].decode()} messages, which are not read: {advice}", where=str(path))
+    words = reason(error) if isinstance(error, OSError) else " ".join(str(error).split()).rstrip(".")
     repair = _REPAIRS.get(path.suffix.lower())
     advice = f"; '{repair}' may repair it" if repair else ""
-    return FileError(f"not a readable bag, or truncated ({words}){advice}", where=str(path))
+    return FileError(f"not a readable bag, or truncated ({words or type(error).__name__}){advice}", where=str(path))
 
 
 def frames(path: Path) -> Iterator[Image]:
@@ -152,14 +145,34 @@ def frames(path: Path) -> Iterator[Image]:
     Raises FileError if the bag cannot be read, a message is no image or of an encoding that is not read, or there is
     none.
     """
-    for image, pattern in mosaics(path):
+    for _, message in _messages(path):
+        image, pattern = _decoded(message, path), _pattern(message)
         yield Image(opencv.demosaiced(image.pixels, opencv.BILINEAR[pattern])) if pattern else image
 
 
-def mosaics(path: Path) -> Iterator[tuple[Image, str]]:
-    """Yield the images of a topic as recorded, each with its Bayer pattern, empty for others; see `frames`."""
-    for _, message in _messages(path):
-        yield _decoded(message, path), _pattern(message)
+def mosaic(frame: Path) -> tuple[Image, str]:
+    """Return an image of a topic as it was recorded, and its Bayer pattern, empty for none; see `frames`.
+
+    frame: its path, as `video.frame_name` makes it. Raises FileError as `frames` does.
+    """
+    path, number = frame.with_name(frame.name.rpartition("_")[0]), int(frame.name.rpartition("_")[2])
+    times = _recorded_ns(path, file_of(path).stat().st_mtime_ns)
+    same = int(np.searchsorted(times[:number], times[number]))  # messages of that time come before it
+    messages = (message for _, message in _messages(path, times[number]))
+    message = next(islice(messages, number - same, None))
+    return _decoded(message, path), _pattern(message)
+
+
+@lru_cache(maxsize=4)
+def _recorded_ns(path: Path, _changed_ns: int) -> tuple[int, ...]:
+    return tuple(recorded_ns for recorded_ns, _ in _messages(path))
+
+
+def count(path: Path) -> int:
+    """Return how many images a topic has."""
+    bag, topic = address_of(path) or (path, "")
+    with _open(bag) as (topics, _):
+        return int(topics[topic].msgcount)
 
 
 def stamps(path: Path) -> Array:
@@ -171,19 +184,21 @@ def stamps(path: Path) -> Array:
     return both[:, 0 if both[:, 0].any() else 1] / 1e9
 
 
-def camera_infos(path: Path) -> dict[str, Any]:
-    """Return the first sensor_msgs/CameraInfo of every topic of a bag that has such messages."""
-    with _open(path) as bag:
-        topics = [name for name, each in bag.topics.items() if each.msgtype == CAMERA_INFO and each.msgcount]
-        return {name: next(bag.messages(name))[1] for name in topics}
+def camera_infos(path: Path) -> list[tuple[str, Any]]:
+    """Return the topics of a bag that have a sensor_msgs/CameraInfo, with the first of each; raises FileError."""
+    with _open(path) as (topics, messages):
+        found = [name for name, each in topics.items() if each.msgtype == _CAMERA_INFO and each.msgcount]
+        if not found:
+            raise FileError("holds no sensor_msgs/CameraInfo", where=str(path))
+        return [(name, next(messages(name))[1]) for name in found]
 
 
-def _messages(path: Path) -> Iterator[tuple[int, Any]]:
+def _messages(path: Path, from_ns: int | None = None) -> Iterator[tuple[int, Any]]:
     bag, topic = address_of(path) or (path, "")
-    with _open(bag) as opened:
-        if topic not in opened.topics or not opened.topics[topic].msgcount:
+    with _open(bag) as (topics, messages):
+        if topic not in topics or not topics[topic].msgcount:
             raise FileError("holds no messages", where=str(path))
-        yield from opened.messages(topic)
+        yield from messages(topic, from_ns)
 
 
 def _pattern(message: Any) -> str:

@@ -16,6 +16,7 @@ from pathlib import Path
 
 from camcal import files, system
 from camcal.errors import FileError, InvalidInput
+from camcal.formats.cameras.record import name_of_topic
 from camcal.images.image import RAW_SUFFIXES, conversion_advice
 from camcal.images.videos import SUFFIXES, address_of, file_of, is_video
 from camcal.parsing import in_one_line, nearest
@@ -112,14 +113,15 @@ def require_there(path: Path) -> None:
 def split_address(text: str) -> tuple[Path, str | None]:
     """Return the file and the camera of an address such as 'rig.yaml#left'; the camera is None without '#'.
 
-    A file whose own name holds a '#' is found first. Raises InvalidInput if no name follows the '#'.
+    A file whose own name holds a '#' is found first; a topic of a bag stands for the camera of its namespace. Raises
+    InvalidInput if no name follows the '#'.
     """
     path, mark, camera = text.rpartition("#")
     if not mark or Path(text).exists():
         return Path(text), None
     if not path or not camera:
         raise InvalidInput("a camera is addressed as file.yaml#name", where=text)
-    return Path(path), camera
+    return Path(path), name_of_topic(camera) if camera.startswith("/") else camera
 
 
 def _expand(text: str, recursive: bool, known: AbstractSet[str]) -> list[Path]:

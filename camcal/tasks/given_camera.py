@@ -14,7 +14,7 @@ from camcal.errors import InvalidInput
 from camcal.formats import cameras
 from camcal.formats.camera_file import CalibrationVerdict, CameraEntry, CameraFile, Framing, framed
 from camcal.formats.cameras.record import CAMERA, Given, MissingSize
-from camcal.images.videos import is_video
+from camcal.images.videos import address_of, is_video
 from camcal.messages import Message
 from camcal.progress import SILENT, Progress
 from camcal.quality.projection_uncertainty import in_polygon
@@ -80,6 +80,8 @@ def require_no_image(path: Path) -> None:
     """Raise InvalidInput if what stands for a camera file is an image, a video, a folder of them, or an array file."""
     if path.suffix.lower() == ".npz":
         raise InvalidInput("holds arrays, such as maps, where a camera file is needed", where=str(path))
+    if address_of(path) is not None:
+        return  # it may hold camera_info
     if path.is_dir() or path.suffix.lower() in IMAGE_SUFFIXES or is_video(path):
         what = "a folder" if path.is_dir() else "an image or video"
         raise InvalidInput(

@@ -142,7 +142,6 @@ def test_a_unified_lens_is_the_same_in_every_model_that_has_it(alpha):
         (("mei", 0.0, -0.1, 0.02), {"mei", "opencv4"}),
         (("division", 0.0), {"division", "pinhole", "ucm", "eucm", "double_sphere", "mei", "opencv4"}),
         (("fov", 0.0), {"fov", "pinhole", "ucm", "eucm", "double_sphere", "mei", "division", "opencv4"}),
-        (("kannala_brandt4", 0.0), {"kannala_brandt4"}),
     ],
 )
 def test_exactly_the_models_are_named_that_are_the_same_lens(start, expected):

@@ -15,9 +15,10 @@ from camcal.cameras.model import Camera
 from camcal.errors import CamcalError, FileError, InvalidInput
 from camcal.formats.camera_file import CameraEntry, CameraFile
 from camcal.formats.cameras.recognition import ROWS, Row, named, recognise
-from camcal.formats.cameras.record import ANY_FRAME, CameraFormat, Given, Source
+from camcal.formats.cameras.record import ANY_FRAME, CameraFormat, Given, Source, name_of_topic
 from camcal.formats.native import implausible
 from camcal.geometry.pose import frames_of
+from camcal.images.videos import address_of
 from camcal.parsing import did_you_mean
 from camcal.progress import SILENT, Progress, warn_of
 
@@ -64,17 +65,18 @@ def read(
     Raises InvalidInput for every rule it breaks, MissingSize if nothing says the size of the images, FileError.
     """
     path = Path(path)
-    sources = [source_of(each) for each in (path, second) if each is not None]
+    sources = [source for each in (path, second) if each is not None for source in _sources_of(each)]
     known = _recognised(sources[0])
     form = known or FORMATS[OWN]
-    if len(sources) > form.files:
+    is_bag = address_of(path) is not None
+    if len(sources) > form.files and not is_bag:
         raise InvalidInput(f"--with {second}: the cameras of a {form.title} file are all in one", where=str(path))
     if len(sources) > 1 and _recognised(sources[1]) != form:
         raise InvalidInput(f"is not a {form.title} file as {path} is", where=str(second))
     if known is None:
         _require_yaml(sources[0])
     try:
-        file = form.read(sources, given)
+        file = _of_topics(form, sources, given) if is_bag else form.read(sources, given)
     except CamcalError as error:
         if known is None and isinstance(error, InvalidInput):
             error.message += f"; formats that are read: {', '.join(each.title for each in FORMATS.values())}"
@@ -99,8 +101,28 @@ def _require_yaml(source: Source) -> None:
         raise FileError(f"{what}, of no camera file that camcal knows", where=str(source.path))
 
 
+def _of_topics(form: CameraFormat, sources: Sequence[Source], given: Given) -> CameraFile:
+    """Return the cameras of several sources, by the names that these give them."""
+    found = [form.read([source], given) for source in sources]
+    cameras = {name: entry for file in found for name, entry in file.cameras.items()}
+    return CameraFile(cameras, warnings=tuple(warning for file in found for warning in file.warnings))
+
+
+def _sources_of(path: Path) -> list[Source]:
+    """Return a file with its text, of a bag every camera_info as the text of ROS's file; raises FileError."""
+    if address_of(path) is None:
+        return [source_of(path)]
+    from camcal.formats.cameras.ros import text_of
+    from camcal.images.bag import camera_infos
+
+    files.note_read(path)
+    return [Source(Path(f"{path}#{topic}"), text_of(each, name_of_topic(topic))) for topic, each in camera_infos(path)]
+
+
 def source_of(path: Path) -> Source:
-    """Return a file with its text; raises FileError if it cannot be read."""
+    """Return a file with its text, of a bag its first camera_info; raises FileError if it cannot be read."""
+    if address_of(path) is not None:
+        return _sources_of(path)[0]
     content = files.read_bytes(path, _LARGEST)
     try:
         return Source(path, content.decode("utf-8-sig"))

@@ -4,6 +4,7 @@ The centre of the top-left pixel is 0.5, 0.5. A rig has sensor_from_rig of every
 y z and a translation. Source: colmap's doc/format.rst, src/colmap/sensor/models.h, scene/reconstruction_io_utils.
 """
 
+import math
 import re
 import struct
 from collections.abc import Iterator, Sequence
@@ -16,7 +17,7 @@ from camcal.errors import FileError, InvalidInput
 from camcal.formats.camera_file import CameraEntry, CameraFile, Transform, pose_between
 from camcal.formats.cameras.lenses import Lenses
 from camcal.formats.cameras.recognition import recognise
-from camcal.formats.cameras.record import CAMERA, CameraFormat, Given, Source
+from camcal.formats.cameras.record import CAMERA, CameraFormat, Given, Source, camera_of
 from camcal.formats.cameras.values import Values
 from camcal.formats.documents import Document
 from camcal.formats.emit import exact_text
@@ -42,11 +43,12 @@ LENSES = Lenses(
     SIMPLE_DIVISION division f cx cy k=lambda
     DIVISION division fx fy cx cy k=lambda
     EUCM eucm fx fy cx cy alpha beta
-    EQUIRECTANGULAR panorama
+    EQUIRECTANGULAR panorama w h
     """,
     origin=0.5,
     instead="run COLMAP with --ImageReader.camera_model OPENCV or OPENCV_FISHEYE, or give its undistorted images",
 )
+PANORAMA = "EQUIRECTANGULAR"
 _IDS = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "OPENCV_FISHEYE", "FULL_OPENCV", "FOV",
         "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE", "THIN_PRISM_FISHEYE", "RAD_TAN_THIN_PRISM_FISHEYE",
         "SIMPLE_DIVISION", "DIVISION", "SIMPLE_FISHEYE", "FISHEYE", "EUCM", "EQUIRECTANGULAR")  # fmt: skip
@@ -103,8 +105,12 @@ def _entry(where: str, line: int, words: Sequence[str], given: Given) -> CameraE
         raise InvalidInput("is not CAMERA_ID MODEL WIDTH HEIGHT PARAMS", where=place)
     data = {"MODEL": words[1], "SIZE": words[2:4], "PARAMS": list(words[4:])}
     values = Values(Document(place, data, {}))
-    rows = LENSES.of(values, "MODEL", words[1])
     size = given.size(values.sides("SIZE"), where)
+    if words[1] == PANORAMA:
+        width, height = values.numbers("PARAMS", 2).tolist()
+        core = width / (2 * math.pi), height / math.pi, width / 2 - LENSES.origin, height / 2 - LENSES.origin
+        return CameraEntry(camera_of("equirectangular", size, core, np.zeros(0)))
+    rows = LENSES.of(values, "MODEL", words[1])
     return CameraEntry(LENSES.listed(values, "PARAMS", rows, size, values.numbers("PARAMS")))
 
 

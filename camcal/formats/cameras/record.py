@@ -152,6 +152,11 @@ def name_of(text: str, fallback: str = CAMERA) -> str:
     return name if NAME.match(name) and JOINT not in name else fallback
 
 
+def name_of_topic(topic: str) -> str:
+    """Return the name of a camera whose camera_info or images have a topic of ROS: left for /left/camera_info."""
+    return name_of(topic.rpartition("/")[0])
+
+
 def camera_of(
     model: str, size: tuple[int, int], core: tuple[float, float, float, float], coefficients: Array
 ) -> Camera:

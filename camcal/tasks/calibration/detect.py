@@ -280,7 +280,7 @@ def _of_frame(task: tuple[str, Frame, Board]) -> list[Path | str]:
     """Return what is searched for a board: a frame, by its name too, and the one before, which tells of motion."""
     name, frame, board = task
     before = () if frame.before is None else (fingerprint.of_array(frame.before),)
-    return [name, fingerprint.of_array(frame.image.pixels), str(frame.image.orientation), *before, repr(board)]
+    return [name, fingerprint.of_array(frame.measured), str(frame.image.orientation), *before, repr(board)]
 
 
 def document(report: DetectReport, output: Path | None) -> dict[str, Any]:

@@ -20,7 +20,7 @@ from camcal.arrays import Array, PixelArray
 from camcal.calibrate.frames import BLURRED, CHOSEN, MOVING, SAME, SURPLUS, FrameChoice, choose_frames
 from camcal.errors import CamcalError, InvalidInput
 from camcal.images import video
-from camcal.images.files import gray_8bit
+from camcal.images.files import gray_8bit, gray_levels
 from camcal.images.image import Image
 from camcal.images.video import focus, motion, reduced
 from camcal.images.videos import title
@@ -29,7 +29,7 @@ from camcal.report.table import Column
 from camcal.targets.board import Board
 from camcal.targets.corners.measure import edge_blur
 from camcal.targets.detect import SEED, detect, locate
-from camcal.targets.detection import BoardDetection
+from camcal.targets.detection import BoardDetection, MaskedImage
 from camcal.tasks.calibration.options import FrameOptions
 
 COLUMNS = (
@@ -44,11 +44,20 @@ SEARCHED_PER_CHOSEN = 8  # frames that are searched for every one that may be ch
 
 
 class Frame(NamedTuple):
-    """A gray frame of a video under its name; before: a reduced copy of the frame before it, None of the first one."""
+    """A gray frame of a video under its name; before: a reduced copy of the frame before it, None of the first one.
+
+    levels: see `gray_levels`, where the frame has more than 8 bits.
+    """
 
     name: str
     image: Image
     before: PixelArray | None
+    levels: Array | None = None
+
+    @property
+    def measured(self) -> Array:
+        """The gray levels (H, W) by which corners are measured."""
+        return self.image.pixels if self.levels is None else self.levels
 
 
 @dataclass(frozen=True)
@@ -73,7 +82,8 @@ class Video:
             for number, image in enumerate(video.frames(self.path)):
                 gray = gray_8bit(image.pixels) if number in wanted or number + 1 in wanted else image.pixels
                 if number in wanted:
-                    yield Frame(video.frame_name(self.path, number), Image(gray, image.orientation), before)
+                    levels = None if image.pixels.dtype == np.uint8 else gray_levels(image.pixels)
+                    yield Frame(video.frame_name(self.path, number), Image(gray, image.orientation), before, levels)
                 before = reduced(gray) if number + 1 in wanted else None
                 if number >= last:
                     break
@@ -169,7 +179,7 @@ def detect_frame(task: tuple[str, Frame, Board], parts: bool = False, measured: 
     name, frame, board = task
     gray = frame.image.pixels
     digest = hashlib.sha256(gray.tobytes()).hexdigest()
-    found = (detect if measured else locate)(gray, board, partial=parts)
+    found = (detect if measured else locate)(gray, board, partial=parts, samples=MaskedImage(frame.measured))
     found = replace(found, image=name, orientation=frame.image.orientation, sha256=digest)
     if not found.found:
         return found
