@@ -54,7 +54,7 @@ def read(path: Path) -> RobotRows:
     text = files.read_text(path, _LARGEST)
     where = str(path)
     if path.suffix.lower() in (".yaml", ".yml", ".json"):
-        rows = list(_of_document(parse_foreign(text, where).data))
+        rows = list(_of_document(parse_foreign(_as_mapping(text), where).data))
     else:
         rows = list(_of_lines(text))
         if rows and {len(row) for _, row in rows} == {4} and not len(rows) % 4:
@@ -71,6 +71,14 @@ def read(path: Path) -> RobotRows:
         raise InvalidInput("holds numbers that are not finite", where=where)
     names = tuple(name for name, _ in rows)
     return RobotRows(numbers, names if all(names) else None)
+
+
+def _as_mapping(text: str) -> str:
+    """Return a document whose whole is a mapping: a list of YAML or JSON below a key."""
+    first = text.lstrip()
+    if first.startswith("["):
+        return f'{{"poses": {text}}}'
+    return f"poses:\n{text}" if first.startswith("- ") else text
 
 
 def _of_lines(text: str) -> Iterator[tuple[str, list[float]]]:

@@ -23,9 +23,11 @@ from camcal.solve.steps import Factors, SingularError
 
 _DOF = 4.0  # of the Student distribution
 _INFORMATION = (_DOF + POSE + 2) / (_DOF + POSE)  # of a Gaussian pose over one of the Student distribution
+_CONSISTENT = 0.924  # of 6 coordinates, the mean of their weighted squares where all are Gaussian
 _PASSES, _SETTLED = 40, 1e-3
 _LEAST = (1e-7, 1e-7)  # m and rad: a robot that is exact
 _LEFT = 0.05  # of the coordinates of a pose, however many were spent
+_HIDDEN = 0.1  # of them: a robot whose noise cannot be told from none
 _STOPPING = Stopping(relative_decrease=1e-9, iterations=30)
 _SCALE = 1.4826
 
@@ -92,13 +94,16 @@ def _estimate(problem: RobotProblem, state: RobotState) -> RobotEstimate:
         weights, before = problem.robot.weights, np.array(problem.robot.sigmas)
         squares = np.stack([np.sum(residuals[:, :3] ** 2, axis=1), np.sum(residuals[:, 3:] ** 2, axis=1)])
         dof = np.maximum(3.0 * count - spent.sum(axis=1), 3.0 * _LEFT * count)
-        sigmas = np.maximum(np.sqrt((weights * squares).sum(axis=1) / dof), _LEAST)
-        distances = (squares / sigmas[:, None] ** 2).sum(axis=0)
+        sigmas = np.maximum(np.sqrt((weights * squares).sum(axis=1) / (_CONSISTENT * dof)), _LEAST)
+        # what corners and the other poses leave of a pose's coordinates is smaller than its noise
+        left = np.maximum(POSE - spent.sum(axis=0), POSE * _LEFT)
+        distances = (squares / sigmas[:, None] ** 2).sum(axis=0) * POSE / left
         weights = (_DOF + POSE) / (_DOF + distances)
         robot = replace(problem.robot, sigmas=(float(sigmas[0]), float(sigmas[1])), weights=weights)
         problem = RobotProblem(problem.rig, robot)
-        converged = bool(np.abs(np.log(sigmas / before)).max() < _SETTLED)
-        converged = converged or bool((sigmas == _LEAST).all())
+        # noise that is far below what the corners leave open falls for ever: it is none
+        settled = (np.abs(np.log(sigmas / before)) < _SETTLED) | (dof <= 3.0 * _HIDDEN * count)
+        converged = bool(settled.all())
         if converged:
             break
     solution = minimise(problem, state, _STOPPING)
