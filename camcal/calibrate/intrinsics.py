@@ -28,11 +28,14 @@ from camcal.calibrate.refusals import (
 )
 from camcal.calibrate.several_cameras import TwoCameras, two_cameras
 from camcal.calibrate.shape import surface_of
+from camcal.calibrate.spline import fit_spline
 from camcal.calibrate.view_records import RejectedCorner, View, rejected_corners, view_records
-from camcal.cameras.catalogue import MODELS
+from camcal.cameras.catalogue import DEFAULT_MODEL, MODELS, WIDE_MODEL, model_named
 from camcal.cameras.lens import CameraModel
 from camcal.cameras.model import Camera
 from camcal.cameras.observations import Observations
+from camcal.cameras.spline import SplinedStereographic
+from camcal.cameras.spline_modes import ReducedSpline
 from camcal.errors import InsufficientData, InvalidInput, NotConverged
 from camcal.records import Brief
 from camcal.solve.steps import SingularError
@@ -44,6 +47,8 @@ __all__ = ["Calibration", "CandidateModel", "Options", "RejectedCorner", "View",
 # Of its prior's standard deviation: above it the data bring less than three quarters of a coefficient's precision, so
 # that more than a quarter is an assumption (1/σ² = 1/σ_data² + 1/σ_prior²).
 _HELD_BY_PRIOR = 0.5
+_CLEARLY = 1.5  # standard errors by which a parametric lens has to predict views better
+SPLINE_BASES = (WIDE_MODEL, DEFAULT_MODEL, "kannala_brandt5t")  # lenses that a spline may start from
 
 
 @dataclass(frozen=True, eq=False)
@@ -263,12 +268,48 @@ def _fit_briefly(
     """Return what `fit_briefly` makes of the observations under the options; other: a brief fit with another lens
     model, to go on from.
     """
+    if isinstance(options.model, SplinedStereographic):
+        return _fit_spline(observations, board, size, options, options.model, other)
     held, guess = _held(options, size)
     if other is not None and guess is None:
         found = fit_like(other.plain, other.turns, options.model, size, held)
         if found is not None:
             return found
     return fit_briefly(options.model, board, observations, size, held=held, guess=guess, shape=options.shape)
+
+
+def _fit_spline(
+    observations: Observations,
+    board: Board,
+    size: tuple[int, int],
+    options: Options,
+    model: SplinedStereographic,
+    other: CalibrationFit | None,
+) -> tuple[Estimate, Array]:
+    """Return the brief estimate of a spline that goes on from that of the parametric lens that predicts views best."""
+    if options.fixed:
+        raise InvalidInput(f"--fix: the parameters of {model.name} are not held one by one; leave it out")
+    brief = None if other is None else (other.plain, other.turns)
+    best: tuple[Array, tuple[Estimate, Array]] | None = None
+    for base in map(model_named, SPLINE_BASES):
+        own = replace(options, model=base)
+        try:
+            if brief is None:
+                brief = _fit_briefly(observations, board, size, own)
+            elif brief[0].problem.model is not base:
+                held, _ = _held(own, size)
+                brief = fit_like(*brief, base, size, held) or brief
+        except (SingularError, np.linalg.LinAlgError, InsufficientData):
+            continue
+        if brief[0].problem.model is base:
+            scores, _ = predict_views(brief[0], influence(brief[0]))
+            # the first one unless another one is clearly better
+            if best is None or np.sum(scores - best[0]) > _CLEARLY * np.std(scores - best[0]) * np.sqrt(len(scores)):
+                best = scores, brief
+    if best is None:
+        raise InsufficientData("no parametric lens was found that a spline could start from: add views")
+    plain, turns = best[1]
+    return fit_spline(plain, turns, model, size, chosen=model is not MODELS[model.name])
 
 
 def _held(options: Options, size: tuple[int, int]) -> tuple[Array, Array | None]:
@@ -380,7 +421,8 @@ def _held_by_prior(problem: BoardProblem, stds: Array) -> tuple[str, ...]:
     if problem.lens_spread is None:
         return ()
     held = stds[: len(problem.free)] > _HELD_BY_PRIOR * problem.lens_spread[problem.free]
-    return tuple(np.array(problem.shared_names[: len(problem.free)])[held].tolist())
+    names = np.array(problem.shared_names[: len(problem.free)])[held].tolist()
+    return () if isinstance(problem.model, ReducedSpline) else tuple(names)
 
 
 def _camera(result: CalibrationFit, size: tuple[int, int], covariance: Array) -> Camera:
@@ -389,6 +431,8 @@ def _camera(result: CalibrationFit, size: tuple[int, int], covariance: Array) ->
     full = np.zeros((len(names), len(names)))
     full[np.ix_(free, free)] = covariance[: len(free), : len(free)]
     fixed = tuple(name for index, name in enumerate(names) if index not in free)
+    if isinstance(problem.model, ReducedSpline):
+        return problem.model.camera(size, result.state.parameters, full)
     return Camera(problem.model, size, result.state.parameters, full, fixed)
 
 
