@@ -36,7 +36,12 @@ def write(folder: Path) -> None:
             if model is None:
                 continue
             values = {"fx": 458.654, "fy": 458.654 if "f" in names else 457.296, "cx": 375.5, "cy": 239.5}
-            values |= {name: 0.01 * rng.normal() for name in model.parameter_names[4:] if name in names}
+            drawn = model.prior_mean + 0.01 * rng.normal(size=len(model.parameter_names))
+            values |= {
+                name: value
+                for name, value in zip(model.parameter_names[4:], drawn[4:].tolist(), strict=True)
+                if name in names
+            }
             values |= {"cx": 367.215, "cy": 248.375} if "cx" in names else {}
             parameters = np.array([values.get(name, 0.0) for name in model.parameter_names])
             camera = Camera(model, SIZE, parameters)

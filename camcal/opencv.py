@@ -13,6 +13,20 @@ from camcal.parsing import nearest
 _SEED_LIMIT = 1 << 31
 LONGEST_REMAPPED = 32766  # pixels; cv2.remap refuses images and maps with a longer side
 _SINGLE_TREE = 4  # FLANN_INDEX_KDTREE_SINGLE
+# OpenCV's two-letter names count from the second row and column; the four-letter names mean the first cell.
+BILINEAR = {
+    "RGGB": cv2.COLOR_BayerRGGB2BGR,
+    "GRBG": cv2.COLOR_BayerGRBG2BGR,
+    "GBRG": cv2.COLOR_BayerGBRG2BGR,
+    "BGGR": cv2.COLOR_BayerBGGR2BGR,
+}
+EDGE_AWARE = {
+    "RGGB": cv2.COLOR_BayerBG2BGR_EA,
+    "GRBG": cv2.COLOR_BayerGB2BGR_EA,
+    "GBRG": cv2.COLOR_BayerGR2BGR_EA,
+    "BGGR": cv2.COLOR_BayerRG2BGR_EA,
+}
+_MARGIN = 4  # an even number of pixels keeps the phase; OpenCV leaves the outermost ones unfinished
 _KERNEL = 8  # pixels around a position that no interpolation goes beyond
 
 
@@ -35,6 +49,13 @@ def resized(gray: Array, scale: float) -> Array:
     """Return an image at another scale: the mean over pixels when it is reduced, cubic interpolation otherwise."""
     interpolation = cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC
     return np.asarray(cv2.resize(gray, None, fx=scale, fy=scale, interpolation=interpolation))
+
+
+def demosaiced(values: Array, code: int) -> Array:
+    """Return the colour that OpenCV makes under a code of its own, the mosaic continued as its mirror image."""
+    margin = (_MARGIN,) * 4
+    padded = cv2.copyMakeBorder(values, *margin, borderType=cv2.BORDER_REFLECT_101)
+    return cv2.demosaicing(padded, code)[_MARGIN:-_MARGIN, _MARGIN:-_MARGIN]
 
 
 def second_derivatives(gray: Array, sigma: float) -> tuple[Array, Array, Array, Array]:

@@ -61,7 +61,7 @@ def with_formats(page: str, forms: Iterable[CameraFormat]) -> str:
     lines += ["| `--to` | parameters of its lenses, in its order |", "|---|---|"]
     lines += [order_row(form) for form in forms if form.lenses is not None]
     lines += ["", "| known, and not read | instead |", "|---|---|"]
-    lines += [f"| {row.title} | {row.instead} |" for row in ROWS if row.instead]
+    lines += [f"| {row.title}{' (written)' if row.name else ''} | {row.instead} |" for row in ROWS if row.instead]
     return _with_table(page, _FORMATS, lines)
 
 

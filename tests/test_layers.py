@@ -38,6 +38,7 @@ MAY_USE_SIMULATE = {"tasks"}
 
 OPENCV_EDGES = {
     "formats/disparity.py",
+    "images/bag.py",
     "images/files.py",
     "images/video.py",
     "images/remap.py",

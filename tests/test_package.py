@@ -67,4 +67,4 @@ def test_the_metadata_say_what_the_package_is(built):
     assert metadata["Requires-Python"] == ">=3.11"
     assert not any(name.startswith("License ::") for name in metadata.get_all("Classifier"))
     assert "Typing :: Typed" in metadata.get_all("Classifier")
-    assert set(metadata.get_all("Provides-Extra")) >= {"view", "clouds", "cluster", "onnx", "dev"}
+    assert set(metadata.get_all("Provides-Extra")) >= {"view", "bags", "clouds", "cluster", "onnx", "dev"}

@@ -27,10 +27,10 @@ from camcal.calibrate.refusals import (
     usable_views,
 )
 from camcal.calibrate.several_cameras import TwoCameras, two_cameras
-from camcal.calibrate.shape import surface_of
-from camcal.calibrate.spline import fit_spline
+from camcal.calibrate.shape import focal_correlations, surface_of
+from camcal.calibrate.spline import fit_spline_briefly
 from camcal.calibrate.view_records import RejectedCorner, View, rejected_corners, view_records
-from camcal.cameras.catalogue import DEFAULT_MODEL, MODELS, WIDE_MODEL, model_named
+from camcal.cameras.catalogue import MODELS
 from camcal.cameras.lens import CameraModel
 from camcal.cameras.model import Camera
 from camcal.cameras.observations import Observations
@@ -43,12 +43,6 @@ from camcal.targets.board import Board, Surface
 from camcal.targets.detection import BoardDetection
 
 __all__ = ["Calibration", "CandidateModel", "Options", "RejectedCorner", "View", "calibrate", "compare_models"]
-
-# Of its prior's standard deviation: above it the data bring less than three quarters of a coefficient's precision, so
-# that more than a quarter is an assumption (1/σ² = 1/σ_data² + 1/σ_prior²).
-_HELD_BY_PRIOR = 0.5
-_CLEARLY = 1.5  # standard errors by which a parametric lens has to predict views better
-SPLINE_BASES = (WIDE_MODEL, DEFAULT_MODEL, "kannala_brandt5t")  # lenses that a spline may start from
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,6 +202,8 @@ def solve(
             f"calibration not converged after {result.plain.passes} passes with the lens model {options.model.name}"
         )
     _require_plausible(result, images, options, len(detections), cameras)
+    if bounded := _at_limits(options, result.state.parameters, size):
+        return solve(detections, board, bounded)
     return Solved(result, tuple(detections), tuple(reasons), size, cameras)
 
 
@@ -233,7 +229,9 @@ def compare_models(
     plausible = start
     for own in (replace(options, model=model) for model in models):
         try:
-            brief, turns = _fit_briefly(observations, board, size, own, plausible)
+            brief, turns = _fit_briefly(
+                observations, board, size, own, plausible and (plausible.plain, plausible.turns)
+            )
             left_out = influence(brief)
             scores, sigma = predict_views(brief, left_out)
             fit = averaged_fit((brief,), WithinViews(1.0), turns, size, [left_out])
@@ -263,53 +261,25 @@ def _fit_briefly(
     board: Board,
     size: tuple[int, int],
     options: Options,
-    other: CalibrationFit | None = None,
+    other: tuple[Estimate, Array] | None = None,
 ) -> tuple[Estimate, Array]:
-    """Return what `fit_briefly` makes of the observations under the options; other: a brief fit with another lens
-    model, to go on from.
+    """Return what `fit_briefly` makes of the observations under the options; other: those with
+    another lens model, to go on from.
     """
     if isinstance(options.model, SplinedStereographic):
-        return _fit_spline(observations, board, size, options, options.model, other)
+        if options.fixed:
+            raise InvalidInput(f"--fix: the parameters of {options.model.name} are not held one by one; leave it out")
+
+        def of_base(model: CameraModel, other: tuple[Estimate, Array] | None) -> tuple[Estimate, Array]:
+            return _fit_briefly(observations, board, size, replace(options, model=model), other)
+
+        return fit_spline_briefly(options.model, size, of_base, other)
     held, guess = _held(options, size)
     if other is not None and guess is None:
-        found = fit_like(other.plain, other.turns, options.model, size, held)
+        found = fit_like(*other, options.model, size, held)
         if found is not None:
             return found
     return fit_briefly(options.model, board, observations, size, held=held, guess=guess, shape=options.shape)
-
-
-def _fit_spline(
-    observations: Observations,
-    board: Board,
-    size: tuple[int, int],
-    options: Options,
-    model: SplinedStereographic,
-    other: CalibrationFit | None,
-) -> tuple[Estimate, Array]:
-    """Return the brief estimate of a spline that goes on from that of the parametric lens that predicts views best."""
-    if options.fixed:
-        raise InvalidInput(f"--fix: the parameters of {model.name} are not held one by one; leave it out")
-    brief = None if other is None else (other.plain, other.turns)
-    best: tuple[Array, tuple[Estimate, Array]] | None = None
-    for base in map(model_named, SPLINE_BASES):
-        own = replace(options, model=base)
-        try:
-            if brief is None:
-                brief = _fit_briefly(observations, board, size, own)
-            elif brief[0].problem.model is not base:
-                held, _ = _held(own, size)
-                brief = fit_like(*brief, base, size, held) or brief
-        except (SingularError, np.linalg.LinAlgError, InsufficientData):
-            continue
-        if brief[0].problem.model is base:
-            scores, _ = predict_views(brief[0], influence(brief[0]))
-            # the first one unless another one is clearly better
-            if best is None or np.sum(scores - best[0]) > _CLEARLY * np.std(scores - best[0]) * np.sqrt(len(scores)):
-                best = scores, brief
-    if best is None:
-        raise InsufficientData("no parametric lens was found that a spline could start from: add views")
-    plain, turns = best[1]
-    return fit_spline(plain, turns, model, size, chosen=model is not MODELS[model.name])
 
 
 def _held(options: Options, size: tuple[int, int]) -> tuple[Array, Array | None]:
@@ -333,6 +303,20 @@ def _held(options: Options, size: tuple[int, int]) -> tuple[Array, Array | None]
         raise InvalidInput("--fix fx or fy needs a --guess with their values")
     held = np.array([start[i] if name in options.fixed else np.nan for i, name in enumerate(names)])
     return held, start if guess is not None else None
+
+
+def _at_limits(options: Options, parameters: Array, size: tuple[int, int]) -> Options | None:
+    """Return the options with every parameter (K,) that an estimate has beyond its limits held there, None if none is:
+    the best lens of the model is at its limit then, and beyond it a camera file could not be read.
+    """
+    names, limits = options.model.parameter_names, options.model.limits
+    low, high = np.array([limits[name] for name in names]).T
+    within = np.clip(parameters, low, high)
+    beyond = tuple(name for name, kept, found in zip(names, within, parameters, strict=True) if kept != found)
+    if not beyond:
+        return None
+    fixed = (*options.fixed, *beyond)
+    return replace(options, fixed=fixed, guess=Camera(options.model, size, within))
 
 
 def _require_plausible(
@@ -376,9 +360,10 @@ def record(solved: Solved, pose_covariances: Array, between: BetweenViews) -> Ca
     medians = row_medians(np.nan_to_num(np.hypot(*residuals), nan=np.inf), problem.observations.present)
     covariance = result.covariance
     camera = _camera(result, size, covariance)
+    stds = np.sqrt(np.diag(result.noise_covariance))
     noise_covariance = _camera(result, size, result.noise_covariance).covariance
-    for focal in {"fx", "fy"} & set(camera.model.parameter_names) - set(camera.fixed):
-        require_focal(camera.value(focal), camera.std(focal) or 0.0)
+    for focal, std in zip(*camera.focal_lengths(), strict=True):
+        require_focal(float(focal), float(std))
     views = view_records(
         result,
         detections,
@@ -400,9 +385,9 @@ def record(solved: Solved, pose_covariances: Array, between: BetweenViews) -> Ca
         residuals=readonly(residuals[:, kept].T, (None, 2), "residuals"),
         pixels=readonly(problem.observations.pixels[:, kept].T, (None, 2), "pixels"),
         iterations=sum(own.passes for own in result.estimates),
-        correlations=_correlations(problem.shared_names, covariance),
+        correlations=focal_correlations(problem.shared_names, covariance),
         model_error_px=plain.model_error_px,
-        held_by_prior=_held_by_prior(problem, np.sqrt(np.diag(result.noise_covariance))),
+        held_by_prior=() if isinstance(problem.model, ReducedSpline) else problem.held_by_prior(stds),
         noise_covariance=noise_covariance,
         within_views=result.errors,
         between_views=between,
@@ -416,15 +401,6 @@ def _pose_covariances(result: CalibrationFit) -> Array:
     return np.asarray(np.tensordot(result.weights, np.stack(own), axes=1))
 
 
-def _held_by_prior(problem: BoardProblem, stds: Array) -> tuple[str, ...]:
-    """Return the names of lens parameters that their priors hold; stds: (S,) of the shared parameters as solved for."""
-    if problem.lens_spread is None:
-        return ()
-    held = stds[: len(problem.free)] > _HELD_BY_PRIOR * problem.lens_spread[problem.free]
-    names = np.array(problem.shared_names[: len(problem.free)])[held].tolist()
-    return () if isinstance(problem.model, ReducedSpline) else tuple(names)
-
-
 def _camera(result: CalibrationFit, size: tuple[int, int], covariance: Array) -> Camera:
     problem = result.problem
     names, free = problem.model.parameter_names, problem.free
@@ -434,11 +410,3 @@ def _camera(result: CalibrationFit, size: tuple[int, int], covariance: Array) ->
     if isinstance(problem.model, ReducedSpline):
         return problem.model.camera(size, result.state.parameters, full)
     return Camera(problem.model, size, result.state.parameters, full, fixed)
-
-
-def _correlations(names: tuple[str, ...], covariance: Array) -> dict[tuple[str, str], float]:
-    """Return the correlations of the board's in-plane terms with the focal lengths."""
-    index = {name: i for i, name in enumerate(names)}
-    pairs = [(term, focal) for term in ("x/y scale", "shear") for focal in ("fx", "fy") if {term, focal} <= set(names)]
-    std = np.sqrt(np.diag(covariance))
-    return {(a, b): float(covariance[index[a], index[b]] / (std[index[a]] * std[index[b]])) for a, b in pairs}

@@ -20,6 +20,9 @@ from camcal.solve.steps import Block, Jacobian, NormalEquations, Step
 from camcal.targets.board import Board, basis
 
 POSE = 6  # parameters of a view: tx ty tz rx ry rz
+# Of its prior's standard deviation: above it the data bring less than three quarters of a coefficient's precision, so
+# that more than a quarter is an assumption (1/σ² = 1/σ_data² + 1/σ_prior²).
+_HELD_BY_PRIOR = 0.5
 _FITS = 3.0  # times the noise: the distance within which a point fits
 
 
@@ -269,6 +272,13 @@ class BoardProblem:
         spread = self.lens_spread[self.free]
         apart = (state.parameters - self.model.prior_mean)[self.free]
         return [_prior(apart / spread, 1 / spread, start)]
+
+    def held_by_prior(self, stds: Array) -> tuple[str, ...]:
+        """Return the lens parameters that their priors hold; stds: (S,) of the shared parameters as solved for."""
+        if self.lens_spread is None:
+            return ()
+        held = stds[: len(self.free)] > _HELD_BY_PRIOR * self.lens_spread[self.free]
+        return tuple(np.array(self.shared_names[: len(self.free)])[held].tolist())
 
     def board_priors(self, state: State, start: int) -> list[Block]:
         """Return the priors of the board's terms and offsets, which stand from `start` on."""

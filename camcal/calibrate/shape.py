@@ -372,3 +372,11 @@ def point_equations(problem: BoardProblem, state: State, derivatives: Derivative
     vector = np.einsum("cij,cj->ci", information, state.offsets) - gradient
     by_corner = by_corner.transpose(2, 0, 1).reshape(*problem.observations.ids.shape, 3, 3)
     return PointEquations(information, vector, by_corner, problem.observations.ids)
+
+
+def focal_correlations(names: tuple[str, ...], covariance: Array) -> dict[tuple[str, str], float]:
+    """Return the correlations of the board's in-plane terms with the focal lengths."""
+    index = {name: i for i, name in enumerate(names)}
+    pairs = [(term, focal) for term in ("x/y scale", "shear") for focal in ("fx", "fy") if {term, focal} <= set(names)]
+    std = np.sqrt(np.diag(covariance))
+    return {(a, b): float(covariance[index[a], index[b]] / (std[index[a]] * std[index[b]])) for a, b in pairs}

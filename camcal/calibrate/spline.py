@@ -7,24 +7,33 @@ view v says Hᵥ c = hᵥ of the amplitudes c of the modes. The others give c = 
 cost falls by hᵥᵀ c - cᵀ Hᵥ c / 2.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
 from camcal.arrays import Array
 from camcal.calibrate.estimator import Estimate, estimate
+from camcal.calibrate.influence import influence
+from camcal.calibrate.jackknife import predict_views
 from camcal.calibrate.noise import robust_sigma
 from camcal.calibrate.problem import BoardProblem, State
+from camcal.cameras.catalogue import DEFAULT_MODEL, MODELS, WIDE_MODEL, model_named
+from camcal.cameras.lens import CameraModel
 from camcal.cameras.model import Camera
 from camcal.cameras.spline import CUBIC, SplinedStereographic
 from camcal.cameras.spline_modes import ReducedSpline, reduced_spline
 from camcal.cameras.validity import border_pixels
+from camcal.errors import InsufficientData
 from camcal.solve.descent import Stopping
 from camcal.solve.least_squares import minimise
 from camcal.solve.losses import Cauchy
-from camcal.solve.steps import lower_inverse
+from camcal.solve.steps import SingularError, lower_inverse
 
+# Lenses that a spline may start from, the first one unless another one predicts views better by so many standard errors.
+_BASES = (WIDE_MODEL, DEFAULT_MODEL, "kannala_brandt5t")
+_CLEARLY = 1.5
 _SIZES = (8, 11, 15, 20)  # knots across the part of the plane that corners show
 _SPREADS = np.geomspace(1e-6, 0.1, 51)  # of differences from the base lens, in units of the plane
 _ROUNDS, _SETTLED = 4, 0.1  # of the spread
@@ -35,6 +44,9 @@ _MARGIN = 1.02  # of what the image shows, to be within the knots
 _BEYOND = 1.5  # of the outermost corner: no farther do the knots reach into an image that shows more
 _BLOCKS = 10  # of views, each predicted by the others
 _SEEN = 1e-6  # of the largest eigenvalue
+
+
+Fitted: TypeAlias = tuple[Estimate, Array]
 
 
 class Normal(NamedTuple):
@@ -60,9 +72,38 @@ class Evidence(NamedTuple):
     noise_ratio: float
 
 
+def fit_spline_briefly(
+    model: SplinedStereographic,
+    image_size: tuple[int, int],
+    fit_base: Callable[[CameraModel, Fitted | None], Fitted],
+    other: Fitted | None = None,
+) -> Fitted:
+    """Return the brief estimate of a spline that goes on from that of the parametric lens that predicts views best, and
+    its symmetries (V,).
+
+    fit_base: makes that of a parametric lens, going on from another one. other: one that there is. Raises
+    InsufficientData where there is no such lens.
+    """
+    start = None if other is None or isinstance(other[0].problem.model, ReducedSpline) else other
+    best: tuple[Array, Fitted] | None = None
+    for base in map(model_named, _BASES):
+        try:
+            brief = start if start is not None and start[0].problem.model is base else fit_base(base, start)
+            scores, _ = predict_views(brief[0], influence(brief[0]))
+        except (SingularError, np.linalg.LinAlgError, InsufficientData):
+            continue
+        start = start or brief
+        # the first one unless another one is clearly better
+        if best is None or np.sum(scores - best[0]) > _CLEARLY * np.std(scores - best[0]) * np.sqrt(len(scores)):
+            best = scores, brief
+    if best is None:
+        raise InsufficientData("no parametric lens was found that a spline could start from: add views")
+    return fit_spline(*best[1], model, image_size, chosen=model is not MODELS[model.name])
+
+
 def fit_spline(
     other: Estimate, turns: Array, model: SplinedStereographic, image_size: tuple[int, int], *, chosen: bool
-) -> tuple[Estimate, Array]:
+) -> Fitted:
     """Return a brief estimate of a spline that goes on from one with a parametric lens, and its symmetries (V,).
 
     chosen: whether the knots of the model are wanted; else they are as the data have it.

@@ -11,6 +11,8 @@ from camcal.parsing import nearest
 _FILES = (
     "brown",
     "kannala_brandt",
+    "sphere_models",
+    "short_models",
     "panoramic",
     "rectified_views",
     "spline",

@@ -3,7 +3,8 @@
 With r² = x² + y² and c = (1 + k1 r² + k2 r⁴ + …) / (1 + k4 r² + k5 r⁴ + k6 r⁶):
 x_d = c x + 2 p1 x y + p2 (r² + 2 x²) + s1 r² + s2 r⁴
 y_d = c y + p1 (r² + 2 y²) + 2 p2 x y + s3 r² + s4 r⁴, then the tilt of the sensor.
-Decentring terms are the tangential ones of (c x, c y) and their r², in place of x, y and theirs.
+Decentring terms are the tangential ones of (c x, c y) and their r², in place of x, y and theirs; late prism terms are
+the prism's of that r². A prism of two coefficients has s1 and s3 alone.
 Sources: Brown, Close-range camera calibration, 1971; Weng, Cohen & Herniou, PAMI 1992 (thin prism);
 Claus & Fitzgibbon, CVPR 2005 (rational); Louhichi et al., 2007 (tilt).
 """
@@ -33,6 +34,7 @@ class Roles:
     tangential: Columns = ()
     prism: Columns = ()
     decentring: Columns = ()
+    late_prism: Columns = ()
     tilt: Columns = ()
 
 
@@ -102,7 +104,7 @@ class Distortion:
         if self.roles.tangential:
             result = self._tangential(self.roles.tangential, x, y, powers, result, gradient)
         if self.roles.prism:
-            result = self._prism(x, y, powers, result, gradient)
+            result = self._prism(self.roles.prism, x, y, powers, result, gradient)
         if self.roles.decentring:
             result = self._decentring(result, gradient)
         if self.roles.tilt:
@@ -124,7 +126,7 @@ class Distortion:
         There its stretch along the radius, d(r c)/dr, and across it, c, both exceed the norm of the Jacobian of the
         tangential and prism terms. So the symmetric part of the whole Jacobian is positive definite, and on a convex
         region such a map is one-to-one. A barrel with tangential terms alone folds just there, towards (-p2, -p1).
-        Decentring terms act after the radial part and likewise need 6 |p| r c < 1.
+        Decentring and late prism terms act after the radial part and likewise need theirs below 1.
         """
         return _known_limit(self, reach)
 
@@ -136,12 +138,13 @@ class Distortion:
         across = np.convolve(numerator, denominator)
         along = across + np.convolve(_times_degree(numerator), denominator)
         along -= np.convolve(numerator, _times_degree(denominator))
-        bound = np.convolve(self._asymmetry(), np.convolve(denominator, denominator))
+        bound = self._asymmetry(self.roles.tangential, self.roles.prism)
+        bound = np.convolve(bound, np.convolve(denominator, denominator))
         pole = first_root(denominator)
         ends = [first_root(_difference(along, bound)), first_root(_difference(across, bound)), pole, reach]
         if self.roles.decentring:
-            moved = np.convolve([0.0, 6.0 * math.hypot(*self._of(self.roles.decentring))], numerator)
-            ends.append(first_root(_difference(denominator, moved)))
+            last = first_root(_difference(_ONE[None], self._asymmetry(self.roles.decentring, self.roles.late_prism)))
+            ends.append(first_root(_difference(denominator, np.convolve([0.0, 1.0 / last], numerator))))
         radius = min(ends)
         if radius >= (1 - 1e-6) * pole:  # a double pole is a root of the others too, but for the rounding
             return Limit(radius, math.inf)
@@ -153,14 +156,14 @@ class Distortion:
         result[0], result[2::2] = 1.0, self._of(columns)
         return result
 
-    def _asymmetry(self) -> Array:
-        """Return the norm of the Jacobian of the tangential and prism terms, as ascending coefficients in r.
+    def _asymmetry(self, tangential: Columns, prism: Columns) -> Array:
+        """Return the norm of the Jacobian of tangential and prism terms, as ascending coefficients in r.
 
         It is 6 |p| r and at most 2 |s1, s3| r + 4 |s2, s4| r³.
         """
-        s1, s2, s3, s4 = self._of(self.roles.prism) or (0.0, 0.0, 0.0, 0.0)
-        tangential = math.hypot(*self._of(self.roles.tangential))
-        return np.array([0.0, 6.0 * tangential + 2.0 * math.hypot(s1, s3), 0.0, 4.0 * math.hypot(s2, s4)])
+        half = len(prism) // 2
+        second, fourth = (math.hypot(*self._of(prism[power::half])) if power < half else 0.0 for power in (0, 1))
+        return np.array([0.0, 6.0 * math.hypot(*self._of(tangential)) + 2.0 * second, 0.0, 4.0 * fourth])
 
     def _of(self, columns: Columns) -> list[float]:
         return [self.values[column] for column in columns]
@@ -212,19 +215,21 @@ class Distortion:
         _add(base.x_y, (2.0 * p1) * x, (2.0 * p2) * y)  # y_x is the same array
         return base
 
-    def _prism(self, x: Array, y: Array, powers: Powers, base: Distorted, gradient: Gradient | None) -> Distorted:
+    def _prism(
+        self, prism: Columns, x: Array, y: Array, powers: Powers, base: Distorted, gradient: Gradient | None
+    ) -> Distorted:
         """Return `base`, changed in place, with the thin prism terms."""
         fourth = powers.square * powers.square
         if gradient is not None:
-            gradient.rows[:, self.roles.prism] = 0.0
+            gradient.rows[:, prism] = 0.0
         slopes = []
         for axis, value in enumerate((base.x, base.y)):
-            columns = self.roles.prism[2 * axis : 2 * axis + 2]
-            first, second = self._of(columns)
+            columns = prism[: len(prism) // 2] if axis == 0 else prism[len(prism) // 2 :]
+            first, second = (*self._of(columns), 0.0)[:2]
             _add(value, first * powers.square, second * fourth)
             slopes.append(2.0 * first + (4.0 * second) * powers.square)
             if gradient is not None:
-                for column, power in zip(columns, (powers.square, fourth), strict=True):
+                for column, power in zip(columns, (powers.square, fourth), strict=False):
                     np.multiply(power, gradient.focal[axis], out=gradient.rows[axis, column])
         return base._replace(
             x_x=base.x_x + slopes[0] * x,
@@ -234,14 +239,17 @@ class Distortion:
         )
 
     def _decentring(self, base: Distorted, gradient: Gradient | None) -> Distorted:
-        """Return `base` with tangential terms of its distorted coordinates."""
+        """Return `base` with tangential and prism terms of its distorted coordinates."""
         x, y, columns = base.x, base.y, self.roles.decentring
         cross = np.zeros_like(x)
         same = Distorted(
             x.copy(), y.copy(), x_x=np.ones_like(x), x_y=cross, y_x=cross, y_y=np.ones_like(x), square=base.square
         )
-        moved = self._tangential(columns, x, y, _powers(x, y), same, gradient)
-        return _chained(moved, base, gradient, columns[0])
+        powers = _powers(x, y)
+        moved = self._tangential(columns, x, y, powers, same, gradient)
+        if self.roles.late_prism:
+            moved = self._prism(self.roles.late_prism, x, y, powers, moved, gradient)
+        return _chained(moved, base, gradient, min(columns))
 
     def _tilt(self, base: Distorted, gradient: Gradient | None) -> Distorted:
         tilt = Tilt(*self._of(self.roles.tilt))

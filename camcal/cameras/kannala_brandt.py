@@ -1,18 +1,20 @@
-"""The fisheye of Kannala & Brandt, beyond 90° from the axis as well: with four coefficients as in OpenCV, and with five
-radial and two tangential terms for decentred lenses.
+"""The fisheye of Kannala & Brandt, beyond 90° from the axis as well: with four coefficients as in OpenCV, with five
+radial and two tangential terms for decentred lenses, on a tilted sensor, and with the further terms of other programs.
 
 Sources: Kannala & Brandt, A generic camera model and calibration method, PAMI 2006, eq. 6 without its asymmetric terms;
-the tangential terms are Brown's, see distortion.py.
+the other terms are Brown's and OpenCV's, see distortion.py. What they are applied to, and how they are counted: COLMAP,
+src/colmap/sensor/models.h; OpenSfM, camera_distortions_functions.h; Project Aria, FisheyeRadTanThinPrism.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.cameras.distortion import Distorted
+from camcal.cameras.distortion import Distorted, Roles
 from camcal.cameras.lens import FISHEYE, Parameter
 from camcal.cameras.plane_model import Flat, PlaneModel, Slopes, Values
 from camcal.records import Brief
@@ -25,10 +27,20 @@ RADIAL = (
     Parameter("k3", "numerator", growth=6),
     Parameter("k4", "numerator", growth=8),
     Parameter("k5", "numerator", growth=10),
+    Parameter("k6", "numerator", growth=12),
 )
 TANGENTIAL = (
     Parameter("p1", "decentring", growth=1, typical=0.0008, stage=2, colour_stage=2),
     Parameter("p2", "decentring", growth=1, typical=-0.0005, stage=2, colour_stage=2),
+)
+EARLY = tuple(replace(own, role="tangential") for own in TANGENTIAL)
+PRISM = tuple(Parameter(name, "prism", growth=growth) for name, growth in (("s0", 1), ("s1", 3), ("s2", 1), ("s3", 3)))
+TILT = tuple(Parameter(name, "tilt", growth=0, limits=(-math.pi / 2, math.pi / 2)) for name in ("tau_x", "tau_y"))
+# Project Aria counts from 0, and its first tangential coefficient is that of x.
+ARIA = (
+    *(replace(own, name=f"k{index}") for index, own in enumerate(RADIAL)),
+    *(replace(own, name=f"p{index}", typical=own.typical) for index, own in enumerate(TANGENTIAL[::-1])),
+    *(replace(own, role="late_prism") for own in PRISM),
 )
 
 
@@ -83,9 +95,33 @@ class KannalaBrandt(Brief, PlaneModel):
         return math.pi
 
 
+@dataclass(frozen=True)
+class Early(KannalaBrandt):
+    """Tangential and prism terms of the place before the radial terms."""
+
+
+@dataclass(frozen=True)
+class Aria(KannalaBrandt):
+    """Tangential and prism terms of the place after the radial terms, the tangential ones in their own order."""
+
+    @cached_property
+    def _roles(self) -> Roles:
+        roles = super()._roles
+        return replace(roles, decentring=roles.decentring[::-1])
+
+
 MODELS = (
     KannalaBrandt(
         "kannala_brandt4", RADIAL[:4], "wide lenses, beyond 180° as well", ("fisheye", "equidistant"), FISHEYE
     ),
-    KannalaBrandt("kannala_brandt5t", (*RADIAL, *TANGENTIAL), "wide lenses with decentred elements"),
+    KannalaBrandt("kannala_brandt5t", (*RADIAL[:5], *TANGENTIAL), "wide lenses with decentred elements"),
+    KannalaBrandt("kannala_brandt4_tilted", (*RADIAL[:4], *TILT), "wide lenses with a tilted sensor"),
+    Early("fisheye62", (*RADIAL, *EARLY), "six radial terms, two tangential of the angle"),
+    Early("opensfm_fisheye624", (*RADIAL, *EARLY, *PRISM), "OpenSfM's fisheye624, with prism terms of the angle"),
+    Early(
+        "thin_prism_fisheye",
+        (*RADIAL[:2], *EARLY, *RADIAL[2:4], *(replace(PRISM[index], name=f"s{'xy'[index // 2]}1") for index in (0, 2))),
+        "COLMAP's, tangential and prism terms of the angle",
+    ),
+    Aria("fisheye624", ARIA, "Project Aria's, tangential and prism terms of the radius"),
 )

@@ -14,6 +14,7 @@ from camcal.cameras.lens import FISHEYE, OPENCV, CameraModel, Projection, Projec
 from camcal.errors import InvalidInput
 from camcal.geometry.pose import Pose
 from camcal.records import Brief
+from camcal.solve.differentiate import central_jacobian
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,6 +109,22 @@ class Camera(Brief):
         found = projection_covariances(self, np.atleast_2d(np.asarray(pixels, np.float64)))
         std = np.sqrt(np.trace(found, axis1=1, axis2=2) / 2)
         return np.asarray(std if np.ndim(pixels) > 1 else std[0])
+
+    def focal_lengths(self) -> tuple[FloatArray, FloatArray]:
+        """Return pixels per radian on the axis along x and y (2,) and their standard deviations (2,), 0 where unknown.
+
+        They are fx and fy of most lenses; of a mirror or two spheres fx / (1 + ξ), known better than fx alone.
+        """
+
+        def lengths(parameters: Array) -> Array:
+            ahead = self.model.project_with_jacobians(parameters, np.array([[0.0, 0.0, 1.0]]), within_domain=False)
+            return np.asarray(ahead.d_point[0, (0, 1), (0, 1)])
+
+        if self.covariance is None:
+            return lengths(self.parameters), np.zeros(2)
+        slopes = central_jacobian(lengths, self.parameters)
+        variances = np.einsum("ai,ij,aj->a", slopes, self.covariance, slopes)
+        return lengths(self.parameters), np.sqrt(np.maximum(variances, 0.0))
 
     def value(self, name: str) -> float:
         """Return one parameter by its name, such as 'fx'."""

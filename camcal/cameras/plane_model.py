@@ -288,7 +288,7 @@ def undistort(distortion: Distortion, x_d: Array, y_d: Array, limit: Limit) -> t
     tilt = distortion.tilt()
     target = np.stack([x_d, y_d] if tilt is None else tilt.undo(x_d, y_d))
     if not distortion.values:
-        return target[0], target[1], (target**2).sum(axis=0) < limit.radius**2
+        return target[0], target[1], (target**2).sum(axis=0) < limit.radius * limit.radius
     radius_d = np.sqrt(target[0] ** 2 + target[1] ** 2)
     radius = _undistort_radius(distortion, radius_d, limit)
     start = target * (radius / np.where(radius_d > 0, radius_d, 1.0))

@@ -1,13 +1,16 @@
-"""The nearest camera of another lens model, fitted over the image area."""
+"""The nearest camera of another lens model, fitted over the valid part of the image, and how far off it is there."""
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from camcal.arrays import Array
+from camcal.cameras.directions import grid_pixels, projection_covariances
 from camcal.cameras.lens import CameraModel
 from camcal.cameras.model import Camera
+from camcal.cameras.validity import ImageCircle
 from camcal.errors import InsufficientData
 from camcal.solve.dense import DenseMethod, minimise_dense
 from camcal.solve.least_squares import minimise
@@ -15,33 +18,55 @@ from camcal.solve.steps import Block, Jacobian, Step
 
 _FITTED, _CHECKED = 31, 101  # rays a side of the image
 _BESIDE = 0.5  # px from the edges of the image that still belong to it
+_SMALL = 1e-4  # rad from the axis, where the focal lengths are taken
+_PARTS = (0.3, 0.6, 1.0)  # of the largest angle from the axis: a lens is fitted from its middle outwards
+_CLOSER, _ROUNDS = 12, 2  # the farthest place is looked for between the rays in so many steps, so many times
 
 
 @dataclass(frozen=True, eq=False)
 class Refit:
-    """A camera of another model and how far its pixels are from those of the first, over the image: RMS and largest.
+    """A camera of another model and how far its pixels are from those of the first, px: RMS and largest.
 
-    Where one of the two has no ray for a pixel, the largest is infinite.
+    max_theta: the angle from the axis, rad, up to which the two are compared, as far as the image and its circle reach.
+    Where one of the two has no ray for a pixel within it, the largest is infinite. jacobian: (L, K) of its parameters
+    by those of the first.
     """
 
     camera: Camera
     rms_px: float
     max_px: float
+    max_theta: float
+    jacobian: Array
 
 
-def refit(camera: Camera, model: CameraModel) -> Refit:
-    """Return the camera of `model` whose pixels come nearest to those of `camera` for rays through the whole image.
+@dataclass(frozen=True, eq=False)
+class Region:
+    """Where in an image a lens is fitted: within its image circle, and up to an angle (rad) from the axis."""
 
-    The axes stay: focal lengths and principal point are fitted, no rotation. Raises InsufficientData if the camera has
-    too few rays.
+    circle: ImageCircle | None = None
+    max_theta: float = math.inf
+
+
+_WHOLE = Region()
+
+
+def refit(camera: Camera, model: CameraModel, region: Region = _WHOLE) -> Refit:
+    """Return the camera of `model` whose pixels come nearest to those of `camera` for rays through its image.
+
+    The axes stay: focal lengths, principal point and distortion are fitted, no rotation. Where the camera has a
+    covariance, places count by their standard deviation, and the camera found has the covariance that follows.
+    Raises InsufficientData if the camera has too few rays, or the model no lens near it.
     """
-    rays, pixels = _samples(camera, _FITTED)
+    rays, pixels = _samples(camera, _FITTED, region)
     if 2 * len(rays) < len(model.parameter_names):
         raise InsufficientData(f"the lens has a ray for {len(rays)} of {_FITTED**2} pixels; none can be fitted to it")
-    values = dict(zip(camera.model.parameter_names, camera.parameters.tolist(), strict=True))
-    start = np.array([values.get(name, 0.0) for name in model.parameter_names])
-    found = minimise_dense(_Refit(model, rays, pixels), start, DenseMethod())
-    return _judged(camera, Camera(model, camera.image_size, found.state))
+    weights = _weights(camera, pixels)
+    found = min(_fits(camera, model, rays, pixels, weights), key=lambda fit: fit[0], default=None)
+    if found is None:
+        raise InsufficientData(f"{model.name} has no place for the rays of this lens")
+    jacobian = _sensitivity(camera, model, found[1], rays, weights)
+    covariance = None if camera.covariance is None else jacobian @ camera.covariance @ jacobian.T
+    return _compare(camera, Camera(model, camera.image_size, found[1], covariance), jacobian, region)
 
 
 def fit_lens(model: CameraModel, rays: Array, pixels: Array, start: Array) -> Array | None:
@@ -52,34 +77,121 @@ def fit_lens(model: CameraModel, rays: Array, pixels: Array, start: Array) -> Ar
     return None if problem.blocks(start) is None else minimise(problem, start).state
 
 
-def _judged(camera: Camera, fitted: Camera) -> Refit:
+def _fits(
+    camera: Camera, model: CameraModel, rays: Array, pixels: Array, weights: Array
+) -> Iterator[tuple[float, Array]]:
+    """Yield costs and parameters (L,): from the parameters of the same names, and from the middle of the lens."""
+    values = dict(zip(camera.model.parameter_names, camera.parameters.tolist(), strict=True))
+    alike = np.array([values.get(name, own) for name, own in zip(model.parameter_names, model.prior_mean, strict=True)])
+    angles = np.arctan2(np.hypot(rays[:, 0], rays[:, 1]), rays[:, 2])
+    for start, parts in ((alike, _PARTS[-1:]), (_start(camera, model), _PARTS)):
+        state = start
+        for part in parts:
+            within = angles <= part * angles.max()
+            problem = _Refit(model, rays[within], pixels[within], weights[within])
+            if problem.blocks(state) is None or 2 * within.sum() < problem.shared:
+                continue
+            solution = minimise_dense(problem, state, DenseMethod())
+            state = solution.state
+            if part == _PARTS[-1]:
+                yield solution.equations.cost, state
+
+
+def _start(camera: Camera, model: CameraModel) -> Array:
+    """Return parameters (L,) of a lens without distortion that has the focal lengths and the axis of a camera."""
+    around = _SMALL * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
+    pixels = camera.project(np.column_stack([around, np.ones(4)])).pixels
+    focal = np.array([pixels[0, 0] - pixels[1, 0], pixels[2, 1] - pixels[3, 1]]) / (2 * _SMALL)
+    start = model.start(camera.image_size, 1.0)
+    start[:2] *= focal
+    start[2:4] = pixels.mean(axis=0)
+    return start
+
+
+def _weights(camera: Camera, pixels: Array) -> Array:
+    """Return what pixels (N, 2) count: the inverses of their variances with a typical one added, 1 at most."""
+    if camera.covariance is None:
+        return np.ones(len(pixels))
+    variances = np.trace(projection_covariances(camera, pixels), axis1=1, axis2=2)
+    typical = np.nanmedian(variances)
+    if not typical > 0:
+        return np.ones(len(pixels))
+    return np.asarray(typical / (np.where(np.isfinite(variances), variances, np.inf) + typical))
+
+
+def _sensitivity(camera: Camera, model: CameraModel, state: Array, rays: Array, weights: Array) -> Array:
+    """Return the derivatives (L, K) of the parameters of the nearest lens by those of the camera."""
+    own = camera.project_with_jacobians(rays)
+    other = model.project_with_jacobians(state, rays, within_domain=False)
+    there = own.valid & other.valid
+    scale = np.sqrt(weights[there, None, None])
+    by_own = (scale * own.by_parameters(len(camera.parameters))[there]).reshape(-1, len(camera.parameters))
+    by_other = (scale * other.by_parameters(len(state))[there]).reshape(-1, len(state))
+    lengths = np.linalg.norm(by_other, axis=0)
+    lengths[lengths == 0] = 1.0
+    return np.asarray(np.linalg.lstsq(by_other / lengths, by_own, rcond=None)[0] / lengths[:, None])
+
+
+def _compare(camera: Camera, fitted: Camera, jacobian: Array, region: Region) -> Refit:
     """Return a fitted camera with its differences on rays that it was not fitted to."""
-    rays, pixels = _samples(camera, _CHECKED)
-    projection = fitted.project(rays)
-    apart = np.linalg.norm(projection.pixels - pixels, axis=1)
-    there = apart[projection.valid]
+    rays, pixels = _samples(camera, _CHECKED, region)
+    apart = _distances(fitted, rays, pixels)
+    there = apart[np.isfinite(apart)]
+    theta = float(np.arctan2(np.hypot(rays[:, 0], rays[:, 1]), rays[:, 2]).max(initial=0.0))
     if not len(there):
-        return Refit(fitted, np.inf, np.inf)
-    whole = len(there) == _CHECKED**2
-    return Refit(fitted, float(np.sqrt(np.mean(there**2))), float(there.max()) if whole else np.inf)
+        return Refit(fitted, np.inf, np.inf, theta, jacobian)
+    whole = len(there) == (_CHECKED**2 if region == _WHOLE else len(rays))
+    largest = _largest(camera, fitted, pixels[np.nanargmax(apart)], region) if whole else np.inf
+    return Refit(fitted, float(np.sqrt(np.mean(there**2))), max(largest, float(there.max())), theta, jacobian)
 
 
-def _samples(camera: Camera, side: int) -> tuple[Array, Array]:
+def _largest(camera: Camera, fitted: Camera, place: Array, region: Region) -> float:
+    """Return the largest difference, px, around the place (2,) that has the largest of those compared."""
+    reach = (np.array(camera.image_size) - 1 + 2 * _BESIDE) / (_CHECKED - 1)
+    largest = 0.0
+    for _ in range(_ROUNDS):
+        axes = (np.linspace(at - step, at + step, _CLOSER) for at, step in zip(place, reach, strict=True))
+        pixels = np.clip(grid_pixels(*axes), -_BESIDE, np.array(camera.image_size) - 1 + _BESIDE)
+        rays, pixels = _inside(camera, pixels, region)
+        apart = _distances(fitted, rays, pixels)
+        if not np.isfinite(apart).any():
+            break
+        place, largest = pixels[np.nanargmax(apart)], max(largest, float(np.nanmax(apart)))
+        reach = reach / _CLOSER
+    return largest
+
+
+def _distances(fitted: Camera, rays: Array, pixels: Array) -> Array:
+    """Return how far (N,) the pixels of rays (N, 3) are from pixels (N, 2), NaN for rays that have none."""
+    return np.asarray(np.linalg.norm(fitted.project(rays).pixels - pixels, axis=1))
+
+
+def _samples(camera: Camera, side: int, region: Region) -> tuple[Array, Array]:
     """Return rays (N, 3) through a grid over the image, as far as the lens has them, and their pixels (N, 2)."""
-    width, height = camera.image_size
-    axes = (np.linspace(-_BESIDE, length - 1 + _BESIDE, side) for length in (width, height))
-    pixels = np.column_stack([axis.ravel() for axis in np.meshgrid(*axes)])
+    axes = (np.linspace(-_BESIDE, length - 1 + _BESIDE, side) for length in camera.image_size)
+    return _inside(camera, grid_pixels(*axes), region)
+
+
+def _inside(camera: Camera, pixels: Array, region: Region) -> tuple[Array, Array]:
+    """Return the rays (N, 3) of those pixels (M, 2) that have one within the region, and these (N, 2)."""
     rays = camera.unproject(pixels)
-    return np.asarray(rays.directions[rays.valid]), pixels[rays.valid]
+    known = rays.valid
+    if region.circle is not None:
+        known = known & region.circle.contains(pixels)
+    directions = rays.directions
+    with np.errstate(invalid="ignore"):
+        known = known & (np.arctan2(np.hypot(directions[:, 0], directions[:, 1]), directions[:, 2]) <= region.max_theta)
+    return np.asarray(directions[known]), pixels[known]
 
 
 @dataclass(frozen=True, eq=False)
 class _Refit:
-    """Residuals of the pixels (N, 2) that rays (N, 3) have in a lens model, by its parameters."""
+    """Residuals of the pixels (N, 2) that rays (N, 3) have in a lens model, by its parameters; weights: (N,)."""
 
     model: CameraModel
     rays: Array
     pixels: Array
+    weights: Array | None = None
 
     @property
     def shared(self) -> int:
@@ -95,7 +207,8 @@ class _Refit:
             return None
         every = np.arange(self.shared)
         columns = every if projection.columns is None else projection.columns
-        return [Block(projection.pixels - self.pixels, (Jacobian(projection.d_parameters, columns),))]
+        jacobian = Jacobian(projection.d_parameters, columns)
+        return [Block(projection.pixels - self.pixels, (jacobian,), weights=self.weights)]
 
     def retract(self, state: Array, step: Step) -> Array:
         return np.asarray(state + step.shared)

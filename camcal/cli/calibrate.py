@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from camcal.tasks.calibration.camera_result import CalibrateReport
     from camcal.tasks.calibration.detect import DetectReport
     from camcal.tasks.calibration.undistort import PointsReport, UndistortReport
+    from camcal.tasks.calibration.undistort_maps import MapsReport
     from camcal.tasks.calibration.video_frames import FrameRecord
     from camcal.tasks.rigs.rig_result import RigReport
 
@@ -229,15 +230,17 @@ def _show_frames(records: Sequence["FrameRecord"], verbose: bool) -> None:
 
 
 def undistort(options: UndistortOptions, call: ImageCall) -> None:
-    """Undistort images, videos or points, and write the camera file of the result.
+    """Undistort images, videos or points, or write the map by which others do, and the camera file of the result.
 
     Images keep their type, depth and EXIF orientation; frames of a video become images. camera.yaml in the output
     folder describes the undistorted images.
     """
-    if options.points is None:
-        _undistort_images(options, call)
-    else:
+    if options.points is not None:
         _undistort_points(options, call)
+    elif options.maps:
+        _undistort_maps(options, call)
+    else:
+        _undistort_images(options, call)
 
 
 def _undistort_images(options: UndistortOptions, call: ImageCall) -> None:
@@ -258,6 +261,19 @@ def _undistort_points(options: UndistortOptions, call: ImageCall) -> None:
 
     report = run(options, call.progress)
     call.give(lambda: points_document(report), lambda: _show_points(report))
+
+
+def _undistort_maps(options: UndistortOptions, call: ImageCall) -> None:
+    from camcal.tasks.calibration.undistort_maps import maps_document
+    from camcal.tasks.calibration.undistort_maps import undistort_maps as run
+
+    report = run(options, call.progress)
+    call.give(lambda: maps_document(report), lambda: _show_maps(report))
+
+
+def _show_maps(report: "MapsReport") -> None:
+    show.text(f"{report.usage}; {100 * report.valid:.4g} % of the pixels have a source")
+    show.wrote(report.output, report.camera_file)
 
 
 def _show_points(report: "PointsReport") -> None:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from camcal.arrays import FloatArray, readonly
+from camcal.arrays import Array, FloatArray, readonly
 from camcal.cameras.model import Camera, Rig, reframed, reframing, resized
 from camcal.cameras.validity import ImageCircle, valid_block
 from camcal.errors import InvalidInput
@@ -204,12 +204,11 @@ def framed(file: CameraFile, framing: Framing) -> CameraFile:
     """
     if framing == Framing():
         return file
-    entries, jacobians = {}, {}
-    for name, entry in file.cameras.items():
-        camera, jacobians[name] = framing.of(entry.camera)
-        entries[name] = replace(
+    framings = {name: framing.of(entry.camera) for name, entry in file.cameras.items()}
+    file = with_cameras(file, framings)
+    entries = {
+        name: replace(
             entry,
-            camera=camera,
             valid=None if entry.valid is None else ValidRegion(max_theta=entry.valid.max_theta),
             channels={channel: framing.of(own)[0] for channel, own in entry.channels.items()},
             verdict=verdict_of_view(entry.verdict),
@@ -217,16 +216,50 @@ def framed(file: CameraFile, framing: Framing) -> CameraFile:
             quality={},
             noise=None,
         )
-    joint = file.joint_covariance
-    if joint is not None:
-        jacobian = np.eye(len(joint.names))
-        for name, own in jacobians.items():
-            names = [f"{name}.{each}" for each in file.cameras[name].camera.model.parameter_names]
-            known = [place for place, each in enumerate(names) if each in joint.names]
-            rows = [joint.names.index(names[place]) for place in known]
-            jacobian[np.ix_(rows, rows)] = own[np.ix_(known, known)]
-        joint = JointCovariance(joint.names, jacobian @ joint.matrix @ jacobian.T)
+        for name, entry in file.cameras.items()
+    }
+    return replace(file, cameras=entries)
+
+
+def with_cameras(file: CameraFile, cameras: Mapping[str, tuple[Camera, Array]]) -> CameraFile:
+    """Return a file with other cameras under some names, whose parameters have derivatives (L, K) by those before: what
+    the file knows of their covariance with transforms and boards follows. Each camera brings its own covariance.
+    """
+    entries, joint = dict(file.cameras), file.joint_covariance
+    for name, (camera, jacobian) in cameras.items():
+        before = entries[name]
+        boards = before.boards
+        if boards is not None and boards.shift is not None:
+            count = len(before.camera.parameters)
+            shift = np.concatenate([boards.shift[:, :count] @ jacobian.T, boards.shift[:, count:]], axis=1)
+            boards = replace(boards, shift=shift)
+        entries[name] = replace(before, camera=camera, boards=boards)
+        if joint is not None:
+            joint = _with_camera(joint, name, (before.camera, camera), jacobian)
     return replace(file, cameras=entries, joint_covariance=joint)
+
+
+def _with_camera(joint: JointCovariance, name: str, change: tuple[Camera, Camera], jacobian: Array) -> JointCovariance:
+    """Return a joint covariance with the parameters of one camera changed into those of another."""
+    old, new = ([f"{name}.{each}" for each in camera.model.parameter_names] for camera in change)
+    known = [place for place, each in enumerate(old) if each in joint.names]
+    if not known:
+        return joint
+    columns = [joint.names.index(old[place]) for place in known]
+    moved = np.flatnonzero(jacobian[:, known].any(axis=1))  # a parameter that is held has no uncertainty
+    lens, others = np.zeros((len(moved), len(joint.names))), np.eye(len(joint.names))
+    lens[:, columns] = jacobian[:, known][moved]
+    names: list[str] = []
+    rows: list[Array] = []
+    for place, each in enumerate(joint.names):
+        if place == min(columns):
+            names += [new[row] for row in moved]
+            rows.append(lens)
+        if each not in old:
+            names.append(each)
+            rows.append(others[place : place + 1])
+    whole = np.concatenate(rows)
+    return JointCovariance(tuple(names), whole @ joint.matrix @ whole.T)
 
 
 def rig_of(file: CameraFile, where: str) -> tuple[Rig, str]:

@@ -1,13 +1,10 @@
 """Disparity maps in files: images (8-bit, 16-bit with a scale, float TIFF, PFM, EXR) and NumPy arrays.
 
 A sidecar beside a map says its scale and what means "no match" in it; see `disparity_sidecar`.
-PFM files are gray, rows from the bottom up. EXR files have one channel of 32-bit floating point, uncompressed: OpenCV's
-wheels neither read nor write any. They are a header of named attributes, the place of every row, the rows (OpenEXR File
-Layout, openexr.com).
+PFM files are gray, rows from the bottom up.
 """
 
 import re
-import struct
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,6 +16,7 @@ from camcal.errors import FileError, InvalidInput
 from camcal.files import natural_key, read_bytes, replacing
 from camcal.formats import disparity_sidecar
 from camcal.formats.disparity_sidecar import INF, INVALID_CODES, NAN, ZERO, Sidecar
+from camcal.formats.exr import read_exr, write_exr
 from camcal.images import exif
 from camcal.images.files import load, require_allowed, save
 from camcal.images.image import arrays_of, read_npy, write_npy
@@ -33,12 +31,6 @@ _ARRAY = "disparity"
 _TIFF = (".tiff", ".tif")
 _FULL = 65535
 _PFM_HEADER = re.compile(rb"Pf\s+(\d{1,9})\s+(\d{1,9})\s+([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s")
-_MAGIC = b"\x76\x2f\x31\x01"
-_VERSION = struct.pack("<I", 2)  # rows, no tiles, no long names, one part
-_NO_COMPRESSION = b"\0"
-_ROWS_DOWN = b"\0"
-_FLOAT = 2
-_NOT_OURS = "is not an EXR file of one uncompressed 32-bit channel; convert it to PFM or TIFF"
 
 
 @dataclass(frozen=True, eq=False)
@@ -252,85 +244,3 @@ def write_pfm(path: Path, values: Array) -> None:
     with replacing(path) as temporary, temporary.open("wb") as stream:
         stream.write(b"Pf\n%d %d\n-1.0\n" % (width, height))
         stream.write(values[::-1].astype("<f4").data)
-
-
-def write_exr(path: Path, values: Array, channel: str = "Y") -> None:
-    """Write values (H, W) as float32 in one step; channel: the name other programs show."""
-    height, width = values.shape
-    header = _header((width, height), channel)
-    rows = np.zeros(height, _row_type(width))
-    rows["y"], rows["bytes"], rows["values"] = np.arange(height), 4 * width, values
-    first = len(header) + 8 * height
-    with replacing(path) as temporary, temporary.open("wb") as stream:
-        stream.write(header)
-        stream.write((first + rows.itemsize * np.arange(height)).astype("<u8").data)
-        stream.write(rows.data)
-
-
-def read_exr(path: Path) -> Array:
-    """Return the values (H, W), float32, of a file as `write_exr` makes them.
-
-    Raises FileError if it is missing, cut off, or any other kind of EXR file.
-    """
-    content = read_bytes(path)
-    if not content.startswith(_MAGIC + _VERSION):
-        raise FileError(_NOT_OURS, where=str(path))
-    try:
-        attributes, place = _attributes(content)
-        left, top, right, bottom = struct.unpack("<4i", attributes["dataWindow"])
-        channel = attributes["channels"]
-        plain = (attributes["compression"], attributes["lineOrder"]) == (_NO_COMPRESSION, _ROWS_DOWN)
-        ours = plain and channel == _channel_list(channel[: channel.index(b"\0")])
-    except (KeyError, ValueError, struct.error) as error:
-        raise FileError("damaged or truncated EXR file", where=str(path)) from error
-    width, height = right - left + 1, bottom - top + 1
-    if not ours or width < 1 or height < 1:
-        raise FileError(_NOT_OURS, where=str(path))
-    need = place + height * (8 + 8 + 4 * width)  # a place, then y, the number of bytes and the values
-    if len(content) != need:
-        raise FileError(f"{width} × {height} pixels take {need} bytes, found {len(content)}", where=str(path))
-    rows = np.frombuffer(content, _row_type(width), count=height, offset=place + 8 * height)
-    return rows["values"].astype(np.float32)
-
-
-def _row_type(width: int) -> np.dtype[np.void]:
-    return np.dtype([("y", "<i4"), ("bytes", "<i4"), ("values", "<f4", (width,))])
-
-
-def _header(size: tuple[int, int], channel: str) -> bytes:
-    window = struct.pack("<4i", 0, 0, size[0] - 1, size[1] - 1)
-    attributes = (
-        ("channels", "chlist", _channel_list(channel.encode("ascii"))),
-        ("compression", "compression", _NO_COMPRESSION),
-        ("dataWindow", "box2i", window),
-        ("displayWindow", "box2i", window),
-        ("lineOrder", "lineOrder", _ROWS_DOWN),
-        ("pixelAspectRatio", "float", struct.pack("<f", 1)),
-        ("screenWindowCenter", "v2f", struct.pack("<2f", 0, 0)),
-        ("screenWindowWidth", "float", struct.pack("<f", 1)),
-    )
-    parts = [
-        f"{name}\0{kind}\0".encode("ascii") + struct.pack("<i", len(value)) + value for name, kind, value in attributes
-    ]
-    return _MAGIC + _VERSION + b"".join(parts) + b"\0"
-
-
-def _channel_list(name: bytes) -> bytes:
-    """Return the list of a single channel: its name, type, whether it is linear, its sampling across and down."""
-    return name + b"\0" + struct.pack("<iB3xii", _FLOAT, 0, 1, 1) + b"\0"
-
-
-def _attributes(content: bytes) -> tuple[dict[str, bytes], int]:
-    """Return the values of the header by name, and where the header ends. Raises ValueError, struct.error."""
-    found: dict[str, bytes] = {}
-    place = len(_MAGIC) + len(_VERSION)
-    while content[place : place + 1] != b"\0":
-        name_end = content.index(b"\0", place)
-        kind_end = content.index(b"\0", name_end + 1)
-        (size,) = struct.unpack_from("<i", content, kind_end + 1)
-        start = kind_end + 5
-        if size < 0:
-            raise ValueError(f"an attribute of {size} bytes")
-        found[content[place:name_end].decode("latin-1")] = content[start : start + size]
-        place = start + size
-    return found, place + 1

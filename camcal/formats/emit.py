@@ -50,8 +50,14 @@ def json_text(data: Mapping[str, Any]) -> str:
 
 
 def number_text(value: float) -> str:
-    """Return a number at 12 significant digits and with a dot."""
+    """Return a number at 12 significant digits, or all of an `Exact` one, and with a dot."""
+    if isinstance(value, Exact):
+        return exact_text(value)
     return _with_dot(f"{value + 0.0:.12g}")  # + 0.0 drops the sign of a zero
+
+
+class Exact(float):
+    """A number that is written with all its digits, such as a time since 1970."""
 
 
 def exact_text(value: float) -> str:
@@ -72,7 +78,7 @@ def rounded(value: Any) -> Any:
         return {key: rounded(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
         return [rounded(item) for item in value]
-    return float(f"{value:.12g}") if isinstance(value, float) else value
+    return float(f"{value:.12g}") if isinstance(value, float) and not isinstance(value, Exact) else value
 
 
 def plain(value: Any) -> Any:

@@ -17,9 +17,9 @@ import numpy as np
 from camcal import files
 from camcal.arrays import Array
 from camcal.errors import FileError, InvalidInput, Located
-from camcal.formats import cameras
 from camcal.formats.camera_file import CameraFile, Transform
 from camcal.formats.cameras import file_storage, ros
+from camcal.formats.cameras.nearest import prepared
 from camcal.geometry.pose import Pose
 from camcal.parsing import parse_numbers
 from camcal.stereo.disparity import StereoGeometry
@@ -219,4 +219,4 @@ def as_ros(file: CameraFile, rectification: Rectification, right_T_left: Pose) -
         block = {"rectification": rotation.ravel().tolist(), "projection": projection.ravel().tolist()}
         entries[name] = replace(file.cameras[name], extra={ros.VENDOR_KEY: block})
     pair = CameraFile(entries, {f"{names[1]}_T_{names[0]}": Transform(right_T_left)})
-    return cameras.prepared(pair, ros.FORMAT, "--ros").file
+    return prepared(pair, ros.FORMAT, "--ros").file

@@ -14,6 +14,8 @@ from camcal.options import SIZE, Option, OptionsRecord
 
 PINHOLE = "pinhole"
 JPEG_QUALITY = 95  # what OpenCV writes when nothing is said
+MAP_SUFFIXES = (".npz", ".exr", ".png", ".txt")  # of files that say where the pixels of a view come from
+MESH_STEP = 16  # pixels between the nodes of a mesh, as is usual
 VIEW = "View"  # title of these options
 WIDEST_PINHOLE_DEG = 179.0
 

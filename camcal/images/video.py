@@ -1,4 +1,4 @@
-"""Reading videos frame by frame without rotation; sharpness of frames and motion between them."""
+"""Reading videos, and image topics of bags, frame by frame without rotation; sharpness of frames and motion between."""
 
 import math
 from collections.abc import Iterator
@@ -10,8 +10,10 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.errors import FileError
+from camcal.images import bag
 from camcal.images.image import Image
 from camcal.images.options import require_pixels
+from camcal.images.videos import address_of
 from camcal.urls import local
 
 BARE_SUFFIXES = frozenset({".mjpeg", ".mjpg", ".h264", ".264", ".h265", ".265", ".hevc"})  # pictures without times
@@ -30,6 +32,9 @@ def frames(path: Path) -> Iterator[Image]:
 
     Raises FileError if the file is missing or no video, and after the last frame if many are missing.
     """
+    if address_of(path):
+        yield from bag.frames(path)
+        return
     with _open(path) as capture:
         yield from _read(path, capture)
 
@@ -56,10 +61,12 @@ def _open(path: Path) -> Iterator[cv2.VideoCapture]:
 
 
 def stamps(path: Path) -> Array | None:
-    """Return the times (N,) s of a video's frames from its file, None if it has none.
+    """Return the times (N,) s of a video's frames from its file, of a topic by its messages; None if it has none.
 
     Raises FileError if the file is missing or no video.
     """
+    if address_of(path):
+        return bag.stamps(path)
     with _open(path) as capture:
         times = []
         while capture.grab():

@@ -207,8 +207,8 @@ def _better_model(
 def _region(calibration: Calibration, region: KnownRegion, others: str) -> Iterator[Message]:
     if region.of_observed >= _limit("known_region"):
         return
-    camera = calibration.camera
-    share = max((camera.std(name) or 0.0) / camera.value(name) for name in ("fx", "fy"))
+    focal, std = calibration.camera.focal_lengths()
+    share = float(np.max(std / focal))
     tilt, more = largest_tilt_deg(calibration), "add views with the board all over the image"
     remedy = others or (more if tilt > _TILTED_DEG else "add views tilted by 20° to 45° about both axes")
     text = (

@@ -179,7 +179,7 @@ def compare(
     compared = known if known.any() else valid
     chosen = np.tile(compared, len(ranges))
     found = lens_difference(one, other, pixels, chosen, away)
-    focal = float(np.sqrt(np.prod(other.parameters[:2]) / np.prod(one.parameters[:2])) - 1)
+    focal = float(np.sqrt(np.prod(other.focal_lengths()[0]) / np.prod(one.focal_lengths()[0])) - 1)
     shift = (other.parameters[2:4] - one.parameters[2:4]).tolist()
     result = CameraComparison(
         u=u,

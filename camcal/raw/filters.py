@@ -15,6 +15,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
+from camcal import opencv
 from camcal.arrays import Array
 from camcal.raw.mosaic import sites
 from camcal.raw.tiles import (
@@ -35,21 +36,6 @@ from camcal.raw.tiles import (
 )
 
 _REACH = 2  # cells
-
-# OpenCV's two-letter names count from the second row and column; the four-letter names mean the first cell.
-_BILINEAR = {
-    "RGGB": cv2.COLOR_BayerRGGB2BGR,
-    "GRBG": cv2.COLOR_BayerGRBG2BGR,
-    "GBRG": cv2.COLOR_BayerGBRG2BGR,
-    "BGGR": cv2.COLOR_BayerBGGR2BGR,
-}
-_EDGE_AWARE = {
-    "RGGB": cv2.COLOR_BayerBG2BGR_EA,
-    "GRBG": cv2.COLOR_BayerGB2BGR_EA,
-    "GBRG": cv2.COLOR_BayerGR2BGR_EA,
-    "BGGR": cv2.COLOR_BayerRG2BGR_EA,
-}
-_MARGIN = 4  # an even number of pixels keeps the phase; OpenCV leaves the outermost ones unfinished
 
 _RED_OR_BLUE = np.array([[1, 2, 1], [2, 4, 2], [1, 2, 1]], np.float32) / 4
 _GREEN = np.array([[0, 1, 0], [1, 4, 1], [0, 1, 0]], np.float32) / 4
@@ -144,13 +130,13 @@ def _sum(plane: Plane, steps: tuple[tuple[int, int], ...], out: Plane) -> None:
 def bilinear(values: Array, pattern: str) -> Array:
     """Return every missing colour as the mean of its nearest samples: two or four of them."""
     if values.dtype in (np.uint8, np.uint16):
-        return by_opencv(values, _BILINEAR[pattern])
+        return opencv.demosaiced(values, opencv.BILINEAR[pattern])
     return cv2.merge([_spread(values.astype(np.float32, copy=False), pattern, colour) for colour in "BGR"])
 
 
 def edge_aware(values: Array, pattern: str) -> Array:
     """Return OpenCV's edge-aware colour of a mosaic of uint8 or uint16."""
-    return by_opencv(values, _EDGE_AWARE[pattern])
+    return opencv.demosaiced(values, opencv.EDGE_AWARE[pattern])
 
 
 def half(values: Array, pattern: str) -> Array:
@@ -168,13 +154,6 @@ def green(values: Array, pattern: str) -> Array:
     """Return green (H, W): its samples, and between them the mean of their four neighbours."""
     plane = _spread(values.astype(np.float32), pattern, "G")
     return plane if values.dtype == np.float32 else np.rint(plane).astype(values.dtype)
-
-
-def by_opencv(values: Array, code: int) -> Array:
-    """Return the colour that OpenCV makes under a code of its own, the mosaic continued as its mirror image."""
-    margin = (_MARGIN,) * 4
-    padded = cv2.copyMakeBorder(values, *margin, borderType=cv2.BORDER_REFLECT_101)
-    return cv2.demosaicing(padded, code)[_MARGIN:-_MARGIN, _MARGIN:-_MARGIN]
 
 
 def _spread(values: Array, pattern: str, colour: str) -> Array:
@@ -260,7 +239,7 @@ def vng(
     and has nothing for other types.
     """
     if values.dtype == np.uint8:
-        return np.minimum(by_opencv(values, _EIGHT_BITS[pattern]), np.uint8(white))
+        return np.minimum(opencv.demosaiced(values, _EIGHT_BITS[pattern]), np.uint8(white))
     return TiledMosaic(values, pattern, _REACH, Scale(white)).in_one_pass(_find_by_gradients, each, tile)
 
 

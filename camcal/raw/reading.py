@@ -28,6 +28,7 @@ from camcal.images.exif import JPEG, PNG, read_jpeg
 from camcal.images.files import gray_8bit, gray_levels, load, png_has_colour
 from camcal.images.image import RAW_SUFFIXES, Image
 from camcal.images.options import require_pixels
+from camcal.images.videos import address_of
 from camcal.raw.demosaic import demosaic
 from camcal.raw.develop import balance_in_place, linearise
 from camcal.raw.frame_facts import check_phase
@@ -71,6 +72,13 @@ def read_mosaic(
     path = Path(path)
     suffix = path.suffix.lower()
     with Located(path):
+        if address_of(path) is not None:
+            from camcal.images.bag import mosaic  # here, since it needs an extra
+
+            image, told = mosaic(path)
+            if told and pattern not in (None, told):
+                raise InvalidInput(f"pattern {told} in the message, {pattern} by --pattern; leave --pattern out")
+            return _bare(path, told or pattern, image)
         if suffix in HEADERLESS_SUFFIXES:
             complete = layout.complete(path, pattern)
             values, colours = read_headerless(path, complete)
@@ -86,13 +94,16 @@ def read_mosaic(
 
 
 def _read_bare(path: Path, pattern: str | None, content: bytes | None) -> Mosaic:
-    if pattern is None:
-        raise missing_pattern(path)
     if content is None and path.suffix.lower() == ".png":
         content = read_bytes(path)
     if content is not None and content.startswith(PNG) and png_has_colour(content):
         raise InvalidInput("a mosaic has one channel, this image has 3 or more: it is in colour already")
-    image = load(path, content=content)
+    return _bare(path, pattern, load(path, content=content))
+
+
+def _bare(path: Path, pattern: str | None, image: Image) -> Mosaic:
+    if pattern is None:
+        raise missing_pattern(path)
     if image.channels != 1:
         raise InvalidInput(f"a mosaic has one channel, this image has {image.channels}: it is in colour already")
     values = image.pixels

@@ -22,7 +22,7 @@ import types
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from contextlib import contextmanager, suppress
-from functools import cache
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple, Union, get_args, get_origin, get_type_hints
 
@@ -33,6 +33,7 @@ from camcal import files, system, urls
 from camcal.arrays import Array
 from camcal.errors import CamcalError, FileError, reason
 from camcal.formats import provenance
+from camcal.images.videos import address_of
 from camcal.options import PATH, Declared, declared
 from camcal.parsing import in_one_line
 from camcal.run.process import over_threads
@@ -119,6 +120,17 @@ def of_folder(path: Path) -> str:
     """Return the hash of the names and contents of the files in a folder, hidden ones and folders below it left out."""
     inside = sorted(each for each in path.iterdir() if each.is_file() and not each.name.startswith("."))
     return of_data([[each.name, of_file(each)] for each in inside])
+
+
+def of_source(path: Path) -> str:
+    """Return the hash of an image or a video: of its file, or of a bag and the topic, for bags that do not change."""
+    address = address_of(path)
+    return of_file(path) if address is None else _of_topic(*address, address[0].stat().st_mtime_ns)
+
+
+@lru_cache(maxsize=4)
+def _of_topic(bag: Path, topic: str, _changed_ns: int) -> str:
+    return of_data([of_folder(bag) if bag.is_dir() else of_file(bag), topic])
 
 
 def of_array(array: Array) -> str:

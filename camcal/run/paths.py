@@ -16,14 +16,15 @@ from pathlib import Path
 
 from camcal import files, system
 from camcal.errors import FileError, InvalidInput
+from camcal.formats.cameras.record import name_of_topic
 from camcal.images.image import RAW_SUFFIXES, conversion_advice
+from camcal.images.videos import SUFFIXES, address_of, file_of, is_video
 from camcal.parsing import in_one_line, nearest
 from camcal.run.outputs import listed
 
 IMAGE_SUFFIXES = RAW_SUFFIXES | {
     ".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm", ".ppm", ".pnm", ".webp", ".jp2", ".npy"
 }  # fmt: skip
-VIDEO_SUFFIXES = frozenset({".mp4", ".avi", ".mov", ".mkv", ".m4v", ".mpg", ".mpeg", ".webm", ".mjpeg", ".mjpg"})
 
 # As words or before a capital or a digit (left_01, imgL, leftImage, L7), not within words such as bright.
 _SIDE = re.compile(
@@ -43,17 +44,22 @@ class Media:
 def find_media(inputs: Sequence[Path | str], recursive: bool = False, also: AbstractSet[str] = frozenset()) -> Media:
     """Return the images and videos that files, folders and quoted patterns stand for.
 
-    A file is taken whatever its suffix; folders and patterns give files with a known suffix, or one of `also`, hidden
-    ones left out.
+    A file is taken whatever its suffix; a bag stands for a topic with images, see `images.bag`. Folders and patterns
+    give files with a known suffix, or one of `also`, hidden ones left out.
     Raises InvalidInput without inputs, FileError for a missing path and for a folder or pattern that yields nothing.
     """
     if not inputs:
         raise InvalidInput("no images given; name files, a folder or a quoted pattern such as 'photos/*.jpg'")
-    known = IMAGE_SUFFIXES | VIDEO_SUFFIXES | also
+    known = IMAGE_SUFFIXES | SUFFIXES | also
     given: dict[Path, int] = {}
     for place, text in enumerate(inputs):
         for path in _expand(str(text), recursive, known):
-            given.setdefault(path, place)
+            if address_of(path) is not None:
+                from camcal.images.bag import addressed  # here, since it decodes images
+
+                given.setdefault(addressed(path), place)
+            else:
+                given.setdefault(path, place)
     ordered = sorted(given, key=_natural_path)
     first: dict[Path, Path] = {}  # names of files, by what they are: the first name in the first input that has one
     for path in sorted(ordered, key=given.__getitem__):
@@ -61,11 +67,9 @@ def find_media(inputs: Sequence[Path | str], recursive: bool = False, also: Abst
     chosen = set(first.values())
     paths = [path for path in ordered if path in chosen]
     for path in paths:
-        files.note_read(path)
-    return Media(
-        images=tuple(path for path in paths if path.suffix.lower() not in VIDEO_SUFFIXES),
-        videos=tuple(path for path in paths if path.suffix.lower() in VIDEO_SUFFIXES),
-    )
+        files.note_read(file_of(path))
+    videos = tuple(path for path in paths if is_video(path))
+    return Media(images=tuple(path for path in paths if path not in videos), videos=videos)
 
 
 def find_images(
@@ -76,7 +80,7 @@ def find_images(
     Videos in folders are left out. Raises FileError for a video that is named, and if there is nothing but videos.
     """
     media = find_media(inputs, recursive, also)
-    named = [path for path in map(Path, inputs) if path in media.videos]
+    named = [path for path in map(Path, inputs) if is_video(path)]
     if named or not media.images:
         raise FileError("is a video, images are needed", where=str((named or media.videos)[0]))
     return list(media.images)
@@ -109,19 +113,23 @@ def require_there(path: Path) -> None:
 def split_address(text: str) -> tuple[Path, str | None]:
     """Return the file and the camera of an address such as 'rig.yaml#left'; the camera is None without '#'.
 
-    A file whose own name holds a '#' is found first. Raises InvalidInput if no name follows the '#'.
+    A file whose own name holds a '#' is found first; a topic of a bag stands for the camera of its namespace. Raises
+    InvalidInput if no name follows the '#'.
     """
     path, mark, camera = text.rpartition("#")
     if not mark or Path(text).exists():
         return Path(text), None
     if not path or not camera:
         raise InvalidInput("a camera is addressed as file.yaml#name", where=text)
-    return Path(path), camera
+    return Path(path), name_of_topic(camera) if camera.startswith("/") else camera
 
 
 def _expand(text: str, recursive: bool, known: AbstractSet[str]) -> list[Path]:
     path = Path(text)
     try:
+        if address_of(path) is not None:
+            require_there(file_of(path))
+            return [path]
         if path.is_dir():
             return _in_folder(path, recursive, known)
         if path.exists():

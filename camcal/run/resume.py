@@ -62,7 +62,7 @@ class Items(Generic[Item, Value]):
 def made_from(settings: str, inputs: Iterable[Path | str]) -> str:
     """Return the fingerprint of an item from its settings, its files and other texts."""
     with files.unwatched():
-        known = [each if isinstance(each, str) else fingerprint.of_file(each) for each in inputs]
+        known = [each if isinstance(each, str) else fingerprint.of_source(each) for each in inputs]
     return fingerprint.of_data([settings, *known])
 
 

@@ -1,15 +1,19 @@
 """`camcal convert`: a camera file of one format to others."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from camcal import files
+from camcal.cameras.catalogue import model_named
 from camcal.cameras.refit import Refit
 from camcal.errors import InvalidInput
 from camcal.formats import cameras, provenance
-from camcal.formats.camera_file import CameraFile, framed
+from camcal.formats.camera_file import CameraFile, Framing, framed
+from camcal.formats.cameras.nearest import Nearest, prepared
+from camcal.formats.cameras.recognition import named
 from camcal.formats.cameras.record import CameraFormat, Given
 from camcal.options import command_line
 from camcal.progress import SILENT, Progress
@@ -37,15 +41,17 @@ class ConvertedFile:
 
 @dataclass(frozen=True, eq=False)
 class ConvertReport:
-    """The format of the camera file that was read, and what was written."""
+    """The format of the camera file that was read, and what was written; plot: the figure, None for none."""
 
     source: CameraFormat
     files: tuple[ConvertedFile, ...]
+    plot: Path | None = None
 
     @property
     def outputs(self) -> tuple[Path, ...]:
         """All files."""
-        return tuple(path for file in self.files for path in file.outputs)
+        figures = () if self.plot is None else (self.plot,)
+        return (*(path for file in self.files for path in file.outputs), *figures)
 
 
 @writes
@@ -65,23 +71,39 @@ def convert(options: ConvertFileOptions, progress: Progress = SILENT) -> Convert
         file = cameras.only(file, wanted, str(path))
     file = framed(file, framing_of(options.given))
     written = tuple(_convert_file(file, output, source, options) for output in options.outputs)
-    report = ConvertReport(source, written)
+    refits = [(file.cameras[name].camera, found) for each in written for name, found in each.refits.items()]
+    if options.plot is not None and not refits:
+        raise InvalidInput("--plot draws the difference of the nearest lens; the lenses written here are exact")
+    report = ConvertReport(source, written, options.plot)
     claim(report.outputs)
     for each in written:
         each.format.write(each.path, each.file)
+    if options.plot is not None:
+        from camcal.report.figures.differences import refit_difference
+        from camcal.report.figures.figure import encoded
+
+        files.write_bytes(options.plot, encoded(refit_difference(*refits[0]), options.plot.suffix))
     return report
 
 
 def _convert_file(file: CameraFile, output: Path, source: CameraFormat, options: ConvertFileOptions) -> ConvertedFile:
     """Return what is to be written to an output."""
     one_of_several = len(options.outputs) > 1
-    target = cameras.format_for(output, options.to, source, by_suffix=one_of_several)
-    prepared = cameras.prepared(file, target, str(output), options.max_error_px)
-    fitting = prepared.file
+    changed = options.refit is not None or framing_of(options.given) != Framing()
+    own = changed and output.suffix.lower() in cameras.FORMATS[cameras.OWN].suffixes
+    wanted = options.to or (cameras.OWN if own and not named(output.name) else None)
+    target = cameras.format_for(output, wanted, source, by_suffix=one_of_several)
+    theta = math.inf if options.max_theta_deg is None else math.radians(options.max_theta_deg)
+    refit = None if options.refit is None else model_named(options.refit).name
+    if refit is not None and refit not in target.models:
+        known = f"{target.title} has the lens models {', '.join(target.models)}"
+        raise InvalidInput(f"--refit {options.refit}: {known}", where=str(output))
+    found = prepared(file, target, str(output), Nearest(refit, options.max_error_px, theta))
+    fitting = found.file
     if not fitting.provenance and target.name == cameras.OWN:
         fitting = replace(fitting, provenance=provenance.build(command_line("convert", options), None))
     outputs = target.outputs(output, fitting)
-    return ConvertedFile(fitting, output, target, outputs, prepared.refits, cameras.left_out(fitting, target))
+    return ConvertedFile(fitting, output, target, outputs, found.refits, cameras.left_out(fitting, target))
 
 
 def document(report: ConvertReport) -> dict[str, Any]:
@@ -108,13 +130,16 @@ def _file_data(converted: ConvertedFile) -> dict[str, Any]:
 
 
 def _figures(refit: Refit | None) -> dict[str, float] | None:
-    return None if refit is None else {"rms_px": refit.rms_px, "max_px": refit.max_px}
+    if refit is None:
+        return None
+    return {"rms_px": refit.rms_px, "max_px": refit.max_px, "max_theta_deg": math.degrees(refit.max_theta)}
 
 
 def words(converted: ConvertedFile) -> str:
     """Return in a line the format that was written, how exactly, and what it does not hold."""
     refits = [
-        f"{name} as the nearest {found.camera.model.name}, off by up to {found.max_px:.2g} px ({found.rms_px:.2g} RMS)"
+        f"{name} as the nearest {found.camera.model.name}, off by up to {found.max_px:.2g} px ({found.rms_px:.2g} RMS) "
+        f"up to {math.degrees(found.max_theta):.0f}° from the axis"
         for name, found in converted.refits.items()
     ]
     left_out = f"; not stored: {', '.join(converted.left_out)}" if converted.left_out else ""

@@ -5,16 +5,17 @@ from pathlib import Path
 from typing import Annotated
 
 from camcal.options import INPUT, OUTPUT, Argument, Option, OptionsRecord, Without, Written
-from camcal.tasks.options import CAMERA_SUFFIXES, CameraName, GivenCamera, Overwrite
-from camcal.tasks.suggestions import camera_formats, format_names
+from camcal.tasks.options import CAMERA_SUFFIXES, FIGURES, CameraName, GivenCamera, Overwrite
+from camcal.tasks.suggestions import camera_formats, format_names, lens_model_names, lens_models
 
 
 @dataclass(frozen=True)
 class ConvertFileOptions(OptionsRecord):
     """A camera file of any format (FILE or FILE#NAME), where it goes, and the format it gets; None as suffixes say.
 
-    second: the other file of a pair that is written as two. given: what the file does not say. max_error_px: how far
-    off a lens may be that the format does not have, pixels; None: it has to be exact.
+    second: the other file of a pair that is written as two. given: what the file does not say. refit: the lens model
+    that lenses are to have. max_error_px: how far off a lens may be that the format does not have, pixels; None: it has
+    to be exact. max_theta_deg: up to which angle from the axis.
     """
 
     source: Annotated[
@@ -40,15 +41,44 @@ class ConvertFileOptions(OptionsRecord):
             names="--with",
         ),
     ] = None
+    refit: Annotated[
+        str | None,
+        Option(
+            lambda: f"Write the nearest lens of this model: {lens_models()}.",
+            metavar="MODEL",
+            group=OUTPUT,
+            suggested=lens_model_names,
+        ),
+    ] = None
     max_error_px: Annotated[
         float | None,
         Option(
-            "Where the format does not have the lens model: write the nearest one it has, if it is off by no more than "
-            "this anywhere in the image. By default lenses are exact or refused.",
+            "How far off the nearest lens may be anywhere in the image, where the format does not have the lens model. "
+            "By default lenses are exact or refused; 0.1 with --refit.",
             metavar="PX",
             group=OUTPUT,
             names="--max-error",
             least=0,
+        ),
+    ] = None
+    max_theta_deg: Annotated[
+        float | None,
+        Option(
+            "The nearest lens need only be near up to this angle from the axis.",
+            metavar="DEGREES",
+            group=OUTPUT,
+            names="--max-theta",
+            least=1,
+        ),
+    ] = None
+    plot: Annotated[
+        Path | None,
+        Option(
+            "Draw the map of the difference of the nearest lens.",
+            metavar="FILE",
+            group=OUTPUT,
+            recorded=False,
+            written=FIGURES,
         ),
     ] = None
     given: Annotated[GivenCamera, Without(("camera_matrix", "distortion"))] = field(default_factory=GivenCamera)

@@ -15,6 +15,7 @@ _WHEELS = ("opencv-python", "opencv-python-headless", "opencv-contrib-python", W
 _OPENCV_PARTS = ("aruco", "ximgproc")
 _REQUIREMENT = re.compile(r"([\w.-]+)(?:\[[^]]*])?\s*([^;]*?)(?:;\s*extra\s*==\s*['\"]([\w-]+)['\"])?$")
 PURPOSES = {  # of the extras that users install
+    "bags": "images of ROS bags and MCAP",
     "clouds": "LAS and LAZ point clouds",
     "cluster": "--scheduler, and URLs",
     "onnx": "camcal stereo disparity --engine onnx",

@@ -14,10 +14,11 @@ from camcal.errors import InvalidInput
 from camcal.formats import cameras
 from camcal.formats.camera_file import CalibrationVerdict, CameraEntry, CameraFile, Framing, framed
 from camcal.formats.cameras.record import CAMERA, Given, MissingSize
+from camcal.images.videos import address_of, is_video
 from camcal.messages import Message
 from camcal.progress import SILENT, Progress
 from camcal.quality.projection_uncertainty import in_polygon
-from camcal.run.paths import IMAGE_SUFFIXES, VIDEO_SUFFIXES, require_there, split_address
+from camcal.run.paths import IMAGE_SUFFIXES, require_there, split_address
 from camcal.tasks.options import GivenCamera
 
 Size = tuple[int, int]
@@ -79,7 +80,9 @@ def require_no_image(path: Path) -> None:
     """Raise InvalidInput if what stands for a camera file is an image, a video, a folder of them, or an array file."""
     if path.suffix.lower() == ".npz":
         raise InvalidInput("holds arrays, such as maps, where a camera file is needed", where=str(path))
-    if path.is_dir() or path.suffix.lower() in IMAGE_SUFFIXES | VIDEO_SUFFIXES:
+    if address_of(path) is not None:
+        return  # it may hold camera_info
+    if path.is_dir() or path.suffix.lower() in IMAGE_SUFFIXES or is_video(path):
         what = "a folder" if path.is_dir() else "an image or video"
         raise InvalidInput(
             f"is {what} where a camera file is needed: put CAMERA first, or give --camera-matrix FX,FY,CX,CY",

@@ -32,7 +32,22 @@ from camcal.tasks.gates import NO_GATES, CameraGates
 from camcal.tasks.measured_at import NOWHERE, MeasuredAt
 from camcal.tasks.suggestions import board_kinds, lens_model_names, lens_models
 
-CAMERA_SUFFIXES = (".yaml", ".yml", ".xml", ".json", ".toml", ".cameramodel", ".txt", ".bin", ".ini", ".mat", ".m")
+CAMERA_SUFFIXES = (
+    ".yaml",
+    ".yml",
+    ".xml",
+    ".json",
+    ".toml",
+    ".cameramodel",
+    ".txt",
+    ".bin",
+    ".ini",
+    ".mat",
+    ".m",
+    ".urdf",
+    ".launch",
+    ".usda",
+)
 
 FIGURES = Written((".png", ".svg", ".pdf"))
 CAMERA_FILE = Written((".yaml", ".yml", ""), stdout=True)

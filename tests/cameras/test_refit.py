@@ -6,7 +6,8 @@ from scipy.optimize import least_squares
 
 from camcal.cameras.catalogue import MODELS
 from camcal.cameras.model import Camera
-from camcal.cameras.refit import refit
+from camcal.cameras.refit import Region, refit
+from camcal.cameras.validity import ImageCircle
 from camcal.errors import InsufficientData
 
 LENS = Camera(MODELS["opencv5"], (640, 480), [536.0, 535.0, 342.0, 236.0, -0.266, -0.0386, 1.8e-3, -2.8e-4, 0.238])
@@ -47,3 +48,70 @@ def test_a_model_that_ends_within_the_image_is_infinitely_far():
     nowhere = Camera(MODELS["opencv4"], (640, 480), [0.001, 0.001, 1e6, 1e6, -0.5, 0.0, 0.0, 0.0])
     with pytest.raises(InsufficientData, match="the lens has a ray for 0 of 961 pixels"):
         refit(nowhere, MODELS["opencv8"])
+
+
+FISHEYE = Camera(
+    MODELS["kannala_brandt4"], (512, 512), [190.98, 190.97, 254.93, 256.9, 0.00348, 0.000715, -0.00205, 0.000203]
+)
+
+
+@pytest.mark.parametrize(
+    ("lens", "model", "degrees", "rms_px", "max_px"),
+    [  # measured with another least-squares program
+        (LENS, "opencv4", 180, 0.42, 3.7),
+        (FISHEYE, "opencv8", 75, 0.001, 0.006),
+    ],
+)
+def test_lenses_of_other_kinds_are_as_near_as_another_program_finds_them(lens, model, degrees, rms_px, max_px):
+    found = refit(lens, MODELS[model], Region(max_theta=np.radians(degrees)))
+    assert (found.rms_px, found.max_px) == (pytest.approx(rms_px, rel=0.15), pytest.approx(max_px, rel=0.2))
+    assert found.max_theta == pytest.approx(min(np.radians(degrees), found.max_theta), abs=0.02)
+
+
+@pytest.mark.parametrize("model", ["opencv4", "kannala_brandt4"])
+def test_the_largest_difference_holds_on_a_grid_three_times_finer(model):
+    found = refit(LENS, MODELS[model])
+    axes = np.meshgrid(np.linspace(-0.5, 639.5, 303), np.linspace(-0.5, 479.5, 303))
+    pixels = np.column_stack([axis.ravel() for axis in axes])
+    apart = np.linalg.norm(found.camera.project(LENS.unproject(pixels).directions).pixels - pixels, axis=1)
+    assert apart.max() <= found.max_px * (1 + 1e-4)
+
+
+def test_the_covariance_is_that_of_refits_of_scattered_lenses():
+    rng = np.random.default_rng(3)
+    root = np.diag([1.0, 1.0, 0.8, 0.9, 2e-3, 4e-3, 2e-4, 2e-4, 3e-3]) @ (np.eye(9) + 0.3 * rng.normal(size=(9, 9)))
+    known = Camera(LENS.model, LENS.image_size, LENS.parameters, root @ root.T)
+    found = refit(known, MODELS["kannala_brandt5t"])
+    step = 1e-3 * root[:, 0]
+    ends = [
+        refit(Camera(LENS.model, LENS.image_size, LENS.parameters + sign * step, known.covariance), found.camera.model)
+        for sign in (1, -1)
+    ]
+    rays = LENS.unproject(np.array([(20.0, 20.0), (320.0, 240.0), (600.0, 40.0), (100.0, 400.0)])).directions
+    moved = (ends[0].camera.project(rays).pixels - ends[1].camera.project(rays).pixels) / 2
+    by_parameters = found.camera.project_with_jacobians(rays).d_parameters
+    expected = by_parameters @ found.jacobian @ step
+    np.testing.assert_allclose(moved, expected, atol=0.03 * np.abs(expected).max())
+    np.testing.assert_allclose(found.camera.covariance, found.jacobian @ known.covariance @ found.jacobian.T)
+
+
+def test_places_that_are_known_well_are_fitted_better():
+    sure = refit(LENS, MODELS["opencv4"]).camera
+    root = np.zeros((9, 1))
+    root[8] = 0.5  # k3, which moves the corners of the image most
+    loose = refit(
+        Camera(LENS.model, LENS.image_size, LENS.parameters, root @ root.T + np.diag(np.full(9, 1e-16))), sure.model
+    ).camera
+    pixels = np.array([[300.0, 200.0], [400.0, 300.0], [250.0, 240.0], [350.0, 150.0]])
+    rays = LENS.unproject(pixels).directions
+    apart = [np.linalg.norm(camera.project(rays).pixels - pixels, axis=1).mean() for camera in (sure, loose)]
+    assert apart[1] < 0.7 * apart[0]
+
+
+def test_a_region_leaves_out_what_is_beyond_its_angle_and_its_image_circle():
+    disc = ImageCircle((512, 512), (255.0, 255.0), 200.0)
+    found = refit(FISHEYE, MODELS["opencv8"], Region(disc))
+    assert np.degrees(found.max_theta) == pytest.approx(59, abs=2)
+    assert found.max_px < 1e-3 < refit(FISHEYE, MODELS["opencv8"], Region(max_theta=np.radians(80))).max_px
+    with pytest.raises(InsufficientData, match="opencv8 has no place for the rays of this lens"):
+        refit(FISHEYE, MODELS["opencv8"])

@@ -173,3 +173,51 @@ def test_commands_take_a_part_of_the_image(run, tmp_path):
         code, _, err = run("convert", tmp_path / "a.xml", tmp_path / "d.yaml", "--crop", wrong)
         assert code == 2
         assert said in err
+
+
+FISHEYE = Camera(model_named("kannala_brandt4"), (512, 512), [190.98, 190.97, 254.9, 256.9, 3.5e-3, 7e-4, -2e-3, 2e-4])
+
+
+def test_the_nearest_lens_of_a_model_is_written_with_its_covariance_and_a_map_of_the_difference(run, tmp_path):
+    covariance = np.diag([0.5, 0.5, 0.3, 0.3, 1e-3, 2e-3, 1e-4, 1e-4, 2e-3]) ** 2
+    known = Camera(LENS.model, LENS.image_size, LENS.parameters, covariance)
+    native.write(tmp_path / "camera.yaml", CameraFile({"camera": CameraEntry(known)}))
+    out, plot = tmp_path / "near.yaml", tmp_path / "difference.png"
+    command = ["convert", tmp_path / "camera.yaml", out, "--refit", "opencv4"]
+    code, _, err = run(*command, "--max-error", "0.001")
+    assert code == 2
+    assert "the nearest opencv4 is off by up to" in err
+    limit = err.split("--max-error ")[1].split(",")[0]  # the remedy, tried
+    code, said, _ = run(*command, "--max-error", limit, "--plot", plot)
+    assert code == 0
+    assert "camera as the nearest opencv4, off by up to" in said
+    assert plot.read_bytes()[:4] == b"\x89PNG"
+    (entry,) = native.read(out).cameras.values()
+    assert entry.camera.model.name == "opencv4"
+    assert 0.3 < entry.camera.std("fx") < 0.8
+    assert yaml.safe_load(out.read_text())["converted_from"]["exact"] is False
+    code, _, err = run("convert", tmp_path / "camera.yaml", out, "--refit", "opencv8", "--plot", plot, "--overwrite")
+    assert (code, "the lenses written here are exact" in err) == (2, True)
+
+
+def test_a_lens_that_is_near_up_to_an_angle_is_used_up_to_it(run, tmp_path):
+    native.write(tmp_path / "fisheye.yaml", CameraFile({"camera": CameraEntry(FISHEYE)}))
+    out = tmp_path / "narrow.yaml"
+    code, _, err = run("convert", tmp_path / "fisheye.yaml", out, "--refit", "opencv8")
+    assert (code, "--max-error 0.27 --max-theta 85" in err or "--max-theta 85" in err) == (2, True)
+    code, _, _ = run("convert", tmp_path / "fisheye.yaml", out, "--refit", "opencv8", "--max-theta", "70")
+    assert code == 0
+    (entry,) = native.read(out).cameras.values()
+    assert np.degrees(entry.valid.max_theta) == pytest.approx(70, abs=0.1)
+    edge = FISHEYE.project(np.array([[np.sin(np.radians(70)), 0, np.cos(np.radians(70))]])).pixels[0]
+    circle = entry.image_circle  # beyond it no command has a ray
+    assert circle.radius == pytest.approx(edge[0] - circle.centre[0], rel=2e-3)
+    code, _, err = run("convert", tmp_path / "fisheye.yaml", tmp_path / "camera.cameramodel")
+    assert (code, "mrcal camera model has no lens model kannala_brandt4" in err) == (2, True)
+
+
+def test_a_camera_file_of_camcal_stays_one_where_a_lens_or_its_images_change(run, tmp_path, rig):
+    code, said, _ = run("convert", rig, tmp_path / "half.yaml", "--scale-to", "320x240")
+    assert (code, said.startswith("camcal's own, exact")) == (0, True)
+    code, said, _ = run("convert", f"{rig}#left", tmp_path / "more.yaml", "--refit", "opencv8")
+    assert (code, said.startswith("camcal's own, exact")) == (0, True)

@@ -28,14 +28,15 @@ FISHEYE = "kannala_brandt4"
 
 
 def lens(row, seed=0):
-    """Return a camera of a declared lens: of its parameters none is zero, all others are."""
+    """Return a camera of a declared lens: its parameters are as in some lens, all others are zero."""
     rng = np.random.default_rng(seed)
     names = {own.name for own in row.keys}
     values = {"fx": 458.654, "fy": 458.654 if "f" in names else 457.296, "cx": 367.215, "cy": 248.375}
     if "cx" not in names:
         values |= {"cx": (SIZE[0] - 1) / 2, "cy": (SIZE[1] - 1) / 2}
     model = MODELS[row.model]
-    coefficients = dict(zip(model.parameter_names, 0.01 * rng.normal(size=len(model.parameter_names)), strict=True))
+    drawn = model.prior_mean + 0.01 * np.abs(rng.normal(size=len(model.parameter_names)))
+    coefficients = dict(zip(model.parameter_names, drawn, strict=True))
     values |= {name: coefficients[name] for name in names & set(model.parameter_names[4:])}
     return Camera(model, SIZE, np.array([values.get(name, 0.0) for name in model.parameter_names]))
 

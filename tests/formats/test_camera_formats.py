@@ -17,6 +17,7 @@ from camcal.errors import CamcalError, FileError, InvalidInput
 from camcal.formats import cameras
 from camcal.formats.camera_file import CameraEntry, CameraFile, Transform
 from camcal.formats.cameras import FORMATS
+from camcal.formats.cameras.nearest import Nearest
 from camcal.formats.cameras.record import Given, MissingSize, Source
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
@@ -32,7 +33,8 @@ def camera(model, seed=0, size=SIZE):
     rng = np.random.default_rng(seed)
     count = len(MODELS[model].parameter_names)
     core = np.array([458.654, 457.296, 367.215, 248.375]) + rng.normal(size=4)
-    return Camera(MODELS[model], size, np.concatenate([core, 0.01 * rng.normal(size=count - 4)]))
+    drawn = MODELS[model].prior_mean[4:] + 0.01 * rng.normal(size=count - 4)
+    return Camera(MODELS[model], size, np.concatenate([core, drawn]))
 
 
 def written(folder, file, name, suffix):
@@ -302,7 +304,7 @@ BAD = {
     f"{BOTH}K: [500, 0, 0, 0, 500, 0, 320, 240, 1]\nD: [0, 0, 0, 0, 0]\n": "possibly transposed: cx, cy in the last",
     f"{BOTH}camera_matrix: {K}distortion_coefficients: [1.0, 2.0, 3.0]\n": "3 coefficients; OpenCV's lenses have 4, 5",
     f"{BOTH}camera_matrix: {K}": "",
-    f"{BOTH}{LENS}xi: 1.2\n": "omnidir",
+    f"{BOTH}{LENS}xi: 1.2\n": "5 coefficients; cv2.omnidir has 4",
     f"image_width: 64.5\nimage_height: 480\n{LENS}": "64.5 is not a number of pixels",
     f"{BOTH}{LENS}camera_matrix: {K}": "duplicate key",
     f"a: &a [1, 1]\n{BOTH}{LENS}": "anchor &a not supported",
@@ -311,7 +313,8 @@ BAD = {
     ROS.replace("plumb_bob", "equidistant"): "5 numbers; equidistant has 4",
     ROS.replace("image_width: 640\n", ""): "has no image_width",
     KALIBR.replace("pinhole", "ds"): "'ds-radtan' is not a lens of this program; read are pinhole-none, pinhole-radtan",
-    KALIBR.replace("radtan", "fov"): "'pinhole-fov' is not among camcal's lens models",
+    KALIBR.replace("radtan", "fov"): "8 numbers; pinhole-fov has 5",
+    KALIBR.replace("pinhole", "omni").replace("[461,", "[-1, 461,"): "xi: -1 is outside [0, 1e+06]",
     KALIBR.replace("461, ", ""): "7 numbers; pinhole-radtan has 8",
     KALIBR.replace("[752,", "[1e+7,"): "1e+07 x 480 is not a width and height in pixels",
     KALIBR.replace("461, ", "1e-30, "): "is outside [0.001, 1e+10]",
@@ -367,7 +370,7 @@ def test_lenses_are_written_exactly_or_not_at_all(tmp_path):
     ):
         written(tmp_path, one("opencv14"), "ros", ".yaml")
     with pytest.raises(
-        InvalidInput, match=r"with k3 = .*accept it with --max-error .*, or calibrate with --model opencv4"
+        InvalidInput, match=r"with k3 = .*accept it with --max-error .*, calibrate with --model opencv4, undistort"
     ):
         written(tmp_path, one("opencv5"), "kalibr", ".yaml")
     with pytest.raises(InvalidInput, match=r"with k5 = .*; the nearest kannala_brandt4 is off by up to"):
@@ -382,8 +385,8 @@ def test_a_lens_that_a_format_does_not_have_is_written_within_an_error_that_is_a
     lens = Camera(MODELS["opencv5"], (640, 480), [536.0, 536.0, 342.0, 236.0, -0.266, -0.0386, 1.8e-3, -2.8e-4, 0.238])
     file = CameraFile({"camera": CameraEntry(lens)})
     with pytest.raises(InvalidInput, match=r"is off by up to 3\.72 px .*: accept it with --max-error 3\.8,"):
-        cameras.write(tmp_path / "chain.yaml", file, FORMATS["kalibr"], 3.6)
-    cameras.write(tmp_path / "chain.yaml", file, FORMATS["kalibr"], 3.8)
+        cameras.write(tmp_path / "chain.yaml", file, FORMATS["kalibr"], Nearest(max_error_px=3.6))
+    cameras.write(tmp_path / "chain.yaml", file, FORMATS["kalibr"], Nearest(max_error_px=3.8))
     near = cameras.read_camera(tmp_path / "chain.yaml")
     rays = lens.unproject(np.array([(0.0, 0.0), (639.0, 0.0), (320.0, 240.0), (639.0, 479.0)]))
     apart = np.linalg.norm(near.project(rays.directions).pixels - lens.project(rays.directions).pixels, axis=1)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 from camcal.errors import FileError
-from camcal.formats.disparity import read_exr, write_exr
+from camcal.formats.exr import read_exr, write_exr
 
 VALUES = np.array([[0.5, np.nan, 3.0], [np.inf, -1.0, 1e30]], np.float32)
 

@@ -11,7 +11,7 @@ import yaml
 
 from camcal.cameras.catalogue import MODELS
 from camcal.cameras.model import Camera
-from camcal.errors import CamcalError, InvalidInput
+from camcal.errors import CamcalError, FileError, InvalidInput
 from camcal.formats import cameras
 from camcal.formats.camera_file import CameraEntry, CameraFile, Transform, pose_between
 from camcal.formats.cameras import FORMATS
@@ -151,6 +151,38 @@ def test_a_colmap_rig_has_sensor_from_rig(tmp_path):
     cameras.write(content, CameraFile({"camera": CameraEntry(FISHEYE)}), FORMATS["colmap"])
     head = struct.unpack("<QIiQQ", content.read_bytes()[:32])
     assert head == (1, 1, 5, 640, 480)
+
+
+def test_binary_rigs_of_colmap_are_those_of_its_text(tmp_path):
+    file = CameraFile({"left": CameraEntry(BROWN), "right": CameraEntry(FISHEYE)}, {"right_T_left": Transform(PLACE)})
+    cameras.write(tmp_path / "cameras.bin", file, FORMATS["colmap"])
+    back = cameras.read(tmp_path / "cameras.bin", second=tmp_path / "rigs.bin")
+    assert np.abs(pose_between(back, "camera_2", "camera_1").matrix() - PLACE.matrix()).max() < 1e-12
+    # as COLMAP 4.2 writes rig 7 of camera 1 and camera 2, which stands at 1, 2, 3
+    quaternion = so3.to_quaternion(PLACE.rotation)
+    theirs = struct.pack("<QIIiIiI?7d", 1, 7, 2, 0, 1, 0, 2, True, *quaternion, 1.0, 2.0, 3.0)
+    (tmp_path / "rigs.bin").write_bytes(theirs)
+    back = cameras.read(tmp_path / "cameras.bin", second=tmp_path / "rigs.bin")
+    assert pose_between(back, "camera_2", "camera_1").translation.tolist() == [1.0, 2.0, 3.0]
+    (tmp_path / "rigs.bin").write_bytes(theirs[:-1])
+    with pytest.raises(FileError, match=r"is truncated, or not a COLMAP rigs\.bin"):
+        cameras.read(tmp_path / "cameras.bin", second=tmp_path / "rigs.bin")
+    with pytest.raises(InvalidInput, match=r"give cameras\.txt first"):
+        cameras.read(tmp_path / "rigs.bin")
+
+
+def test_an_omnidirectional_lens_of_opencv_has_xi(tmp_path):
+    omni = Camera(MODELS["mei"], (640, 480), [400.0, 401.0, 321.0, 242.0, 1.13, -0.25, 0.01, 1e-3, -5e-4])
+    path = written(tmp_path, omni, "opencv")
+    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
+    K, D, xi = (storage.getNode(key).mat() for key in ("camera_matrix", "distortion_coefficients", "xi"))
+    points = np.array([[0.3, -0.2, 1.0], [1.5, 0.4, -0.1], [0.0, 0.0, 1.0]])
+    expected = omni.project(points).pixels
+    assert np.abs(cameras.read_camera(path).project(points).pixels - expected).max() < 1e-9
+    if hasattr(cv2, "omnidir"):
+        theirs, _ = cv2.omnidir.projectPoints(points[None], np.zeros(3), np.zeros(3), K, float(xi[0, 0]), D)
+        assert np.abs(theirs.reshape(-1, 2) - expected).max() < 1e-9
+    assert "cv2.omnidir.undistortImage(image, K, D, xi" in path.read_text()
 
 
 MATLAB = {

@@ -58,7 +58,8 @@ def test_a_family_is_told_by_its_content(tmp_path, name):
 
 def test_every_row_is_read_or_says_what_to_do():
     for row in ROWS:
-        assert bool(row.name) != bool(row.title and row.instead), row
+        assert bool(row.title) == bool(row.instead), row
+        assert row.name or row.instead, row
         assert "YAML" not in row.title + row.instead
     assert next(iter(FORMATS)) == "camcal"
     assert [FORMATS[name].name for name in FORMATS] == list(FORMATS)

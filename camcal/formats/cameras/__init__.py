@@ -5,26 +5,25 @@ A format is a module with its FORMAT and a row of `recognition`; it is loaded wh
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from importlib import import_module
-from math import ceil, floor, isfinite, log10
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from camcal import files
-from camcal.cameras.catalogue import MODELS
 from camcal.cameras.model import Camera
 from camcal.errors import CamcalError, FileError, InvalidInput
 from camcal.formats.camera_file import CameraEntry, CameraFile
 from camcal.formats.cameras.recognition import ROWS, Row, named, recognise
-from camcal.formats.cameras.record import CameraFormat, Given, Source, expressed, lost_coefficients
+from camcal.formats.cameras.record import ANY_FRAME, CameraFormat, Given, Source, name_of_topic
 from camcal.formats.native import implausible
 from camcal.geometry.pose import frames_of
+from camcal.images.videos import address_of
 from camcal.parsing import did_you_mean
 from camcal.progress import SILENT, Progress, warn_of
 
 if TYPE_CHECKING:
-    from camcal.cameras.refit import Refit
+    from camcal.formats.cameras.nearest import Nearest
 
 OWN = "camcal"
 
@@ -66,17 +65,18 @@ def read(
     Raises InvalidInput for every rule it breaks, MissingSize if nothing says the size of the images, FileError.
     """
     path = Path(path)
-    sources = [source_of(each) for each in (path, second) if each is not None]
+    sources = [source for each in (path, second) if each is not None for source in _sources_of(each)]
     known = _recognised(sources[0])
     form = known or FORMATS[OWN]
-    if len(sources) > form.files:
+    is_bag = address_of(path) is not None
+    if len(sources) > form.files and not is_bag:
         raise InvalidInput(f"--with {second}: the cameras of a {form.title} file are all in one", where=str(path))
     if len(sources) > 1 and _recognised(sources[1]) != form:
         raise InvalidInput(f"is not a {form.title} file as {path} is", where=str(second))
     if known is None:
         _require_yaml(sources[0])
     try:
-        file = form.read(sources, given)
+        file = _of_topics(form, sources, given) if is_bag else form.read(sources, given)
     except CamcalError as error:
         if known is None and isinstance(error, InvalidInput):
             error.message += f"; formats that are read: {', '.join(each.title for each in FORMATS.values())}"
@@ -101,8 +101,28 @@ def _require_yaml(source: Source) -> None:
         raise FileError(f"{what}, of no camera file that camcal knows", where=str(source.path))
 
 
+def _of_topics(form: CameraFormat, sources: Sequence[Source], given: Given) -> CameraFile:
+    """Return the cameras of several sources, by the names that these give them."""
+    found = [form.read([source], given) for source in sources]
+    cameras = {name: entry for file in found for name, entry in file.cameras.items()}
+    return CameraFile(cameras, warnings=tuple(warning for file in found for warning in file.warnings))
+
+
+def _sources_of(path: Path) -> list[Source]:
+    """Return a file with its text, of a bag every camera_info as the text of ROS's file; raises FileError."""
+    if address_of(path) is None:
+        return [source_of(path)]
+    from camcal.formats.cameras.ros import text_of
+    from camcal.images.bag import camera_infos
+
+    files.note_read(path)
+    return [Source(Path(f"{path}#{topic}"), text_of(each, name_of_topic(topic))) for topic, each in camera_infos(path)]
+
+
 def source_of(path: Path) -> Source:
-    """Return a file with its text; raises FileError if it cannot be read."""
+    """Return a file with its text, of a bag its first camera_info; raises FileError if it cannot be read."""
+    if address_of(path) is not None:
+        return _sources_of(path)[0]
     content = files.read_bytes(path, _LARGEST)
     try:
         return Source(path, content.decode("utf-8-sig"))
@@ -204,82 +224,13 @@ def _meant_by(path: Path) -> CameraFormat | Row | None:
     """Return the one format that a path can mean, a row that is not written, or None where it may mean several."""
     row = named(path.name)
     if row is not None:
-        return row if row.instead else FORMATS[row.name]
+        return FORMATS[row.name] if row.name else row
     known = _with_suffix(path)
     return known[0] if len(known) == 1 else None
 
 
 def _with_suffix(path: Path) -> list[CameraFormat]:
     return [form for form in (FORMATS[name] for name in _USUAL) if path.suffix.lower() in form.suffixes]
-
-
-@dataclass(frozen=True, eq=False)
-class Prepared:
-    """A camera file with lenses that a format has; refits: by the names of cameras, those that are not exact."""
-
-    file: CameraFile
-    refits: Mapping[str, "Refit"]
-
-
-def prepared(file: CameraFile, form: CameraFormat, where: str, max_error_px: float | None = None) -> Prepared:
-    """Return a camera file with its lenses as a format can write them: exactly, or the nearest within max_error_px.
-
-    Raises InvalidInput, saying what would be lost and what to do, for more cameras than it holds, and for a lens that
-    none of its models is.
-    """
-    if form.most_cameras is not None and len(file.cameras) > form.most_cameras:
-        names = ", ".join(file.cameras)
-        most = f"{form.most_cameras} camera{'s' * (form.most_cameras > 1)}"
-        raise InvalidInput(f"{form.title} holds {most}, not {names}: write them one by one, FILE#NAME", where=where)
-    refits: dict[str, Refit] = {}
-    entries: dict[str, CameraEntry] = {}
-    for name, entry in file.cameras.items():
-        camera = _exact(entry.camera, form)
-        if camera is None:
-            refits[name] = _nearest(entry.camera, name, form, max_error_px, where)
-            camera = refits[name].camera
-        entries[name] = replace(entry, camera=camera)
-    return Prepared(replace(file, cameras=entries), refits)
-
-
-def _exact(camera: Camera, form: CameraFormat) -> Camera | None:
-    """Return a camera in the lens model that a format writes it as, None if that has none which is the same."""
-    if form.lenses is None:
-        return expressed(camera, form.models)
-    row = form.lenses.row(camera)
-    return None if row is None else expressed(camera, (row.model, *form.models))
-
-
-def _nearest(camera: Camera, name: str, form: CameraFormat, max_error_px: float | None, where: str) -> "Refit":
-    """Return the nearest lens of a format's models; raises InvalidInput if it is off by more than is accepted."""
-    from camcal.cameras.refit import refit
-
-    family = [MODELS[model] for model in form.models if type(MODELS[model]) is type(camera.model)]
-    if not family:
-        what = f"{name}: {camera.model.name} cannot be written to {form.title}"
-        raise InvalidInput(f"{what}, whose lens models are {', '.join(form.models)}", where=where)
-    model = max(family, key=lambda each: len(each.parameter_names))
-    found = refit(camera, model)
-    if max_error_px is not None and found.max_px <= max_error_px:
-        return found
-    lost = ", ".join(f"{key} = {value:.4g}" for key, value in lost_coefficients(camera, form.models).items())
-    if not isfinite(found.max_px):
-        off = "does not cover the image"
-        accepted = ""
-    else:
-        off = f"is off by up to {found.max_px:.3g} px ({found.rms_px:.2g} px RMS)"
-        accepted = f"accept it with --max-error {_above(found.max_px)}, or "
-    raise InvalidInput(
-        f"{name}: {form.title} has no lens model with {lost}; the nearest {model.name} {off}: "
-        f"{accepted}calibrate with --model {model.name}",
-        where=where,
-    )
-
-
-def _above(value: float) -> str:
-    """Return a number of two digits that is not below a value."""
-    scale = 10.0 ** (floor(log10(value)) - 1)
-    return f"{ceil(value / scale) * scale:.2g}"
 
 
 def left_out(file: CameraFile, form: CameraFormat) -> tuple[str, ...]:
@@ -306,15 +257,17 @@ def _left_out(file: CameraFile, form: CameraFormat) -> Iterator[str]:
     }
     yield from (name for name, there in held.items() if there and name not in form.keeps)
     every = [frame for name in file.transforms for frame in frames_of(name)]
-    for name in file.transforms:
+    for name in file.transforms if form.frames != ANY_FRAME else ():
         ends = [frame for frame in frames_of(name) if every.count(frame) == 1]
         if any(frame not in file.cameras and frame not in form.frames for frame in ends):
             yield name
 
 
-def write(path: Path, file: CameraFile, form: CameraFormat, max_error_px: float | None = None) -> None:
-    """Write a camera file in a format, every number with all its digits.
+def write(path: Path, file: CameraFile, form: CameraFormat, nearest: "Nearest | None" = None) -> None:
+    """Write a camera file in a format, every number with all its digits; by default its lenses exactly.
 
-    Raises InvalidInput as `prepared` does, and for what the format's own `write` says; FileError.
+    Raises InvalidInput as `nearest.prepared` does, and for what the format's own `write` says; FileError.
     """
-    form.write(path, prepared(file, form, str(path), max_error_px).file)
+    from camcal.formats.cameras.nearest import EXACT, prepared
+
+    form.write(path, prepared(file, form, str(path), nearest or EXACT).file)

@@ -29,7 +29,7 @@ LENSES = Lenses(
     ds double_sphere fx fy cx cy xi alpha
     ucm ucm fx fy cx cy alpha
     eucm eucm fx fy cx cy alpha beta
-    fov fov fx fy cx cy w
+    fov fov fx fy cx cy w=omega
     """,
     instead="calibrate there with --cam-types kb4",
 )

@@ -1,9 +1,10 @@
-"""COLMAP's cameras.txt and cameras.bin, and rigs.txt beside them: cameras 1, 2 as camera_1, camera_2.
+"""COLMAP's cameras.txt and cameras.bin, and rigs.txt or rigs.bin beside them: cameras 1, 2 as camera_1, camera_2.
 
 The centre of the top-left pixel is 0.5, 0.5. A rig has sensor_from_rig of every sensor but the first: a quaternion w x
 y z and a translation. Source: colmap's doc/format.rst, src/colmap/sensor/models.h, scene/reconstruction_io_utils.
 """
 
+import math
 import re
 import struct
 from collections.abc import Iterator, Sequence
@@ -15,7 +16,8 @@ from camcal import files
 from camcal.errors import FileError, InvalidInput
 from camcal.formats.camera_file import CameraEntry, CameraFile, Transform, pose_between
 from camcal.formats.cameras.lenses import Lenses
-from camcal.formats.cameras.record import CAMERA, CameraFormat, Given, Source
+from camcal.formats.cameras.recognition import recognise
+from camcal.formats.cameras.record import CAMERA, CameraFormat, Given, Source, camera_of
 from camcal.formats.cameras.values import Values
 from camcal.formats.documents import Document
 from camcal.formats.emit import exact_text
@@ -35,20 +37,22 @@ LENSES = Lenses(
     OPENCV_FISHEYE kannala_brandt4 fx fy cx cy k1 k2 k3 k4
     SIMPLE_FISHEYE kannala_brandt4 f cx cy
     FISHEYE kannala_brandt4 fx fy cx cy
-    FOV fov fx fy cx cy w
+    FOV fov fx fy cx cy w=omega
     THIN_PRISM_FISHEYE thin_prism_fisheye fx fy cx cy k1 k2 p1 p2 k3 k4 sx1 sy1
     RAD_TAN_THIN_PRISM_FISHEYE fisheye624 fx fy cx cy k0 k1 k2 k3 k4 k5 p0 p1 s0 s1 s2 s3
-    SIMPLE_DIVISION division f cx cy k
-    DIVISION division fx fy cx cy k
+    SIMPLE_DIVISION division f cx cy k=lambda
+    DIVISION division fx fy cx cy k=lambda
     EUCM eucm fx fy cx cy alpha beta
-    EQUIRECTANGULAR panorama
+    EQUIRECTANGULAR panorama w h
     """,
     origin=0.5,
     instead="run COLMAP with --ImageReader.camera_model OPENCV or OPENCV_FISHEYE, or give its undistorted images",
 )
+PANORAMA = "EQUIRECTANGULAR"
 _IDS = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "OPENCV_FISHEYE", "FULL_OPENCV", "FOV",
         "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE", "THIN_PRISM_FISHEYE", "RAD_TAN_THIN_PRISM_FISHEYE",
         "SIMPLE_DIVISION", "DIVISION", "SIMPLE_FISHEYE", "FISHEYE", "EUCM", "EQUIRECTANGULAR")  # fmt: skip
+_SENSORS = ("CAMERA", "IMU")  # by their numbers in binary files
 _COUNTS = {row.word: len(row.keys) for row in LENSES.rows}
 _HEAD = """# Camera list with one line of data per camera:
 #   CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]
@@ -70,9 +74,11 @@ def read(sources: Sequence[Source], given: Given) -> CameraFile:
     Raises InvalidInput for a lens that camcal does not have and for whatever is missing or wrong, FileError.
     """
     where = str(sources[0].path)
-    rows = list(_binary_rows(sources[0]) if sources[0].binary or "\0" in sources[0].text else _lines(sources[0]))
-    if not rows or sources[0].text.startswith("# Rig"):
+    if sources[0].text.startswith("# Rig") or ((row := recognise(sources[0].text)) and "rigs.bin" in row.names):
         raise InvalidInput("holds no cameras: give cameras.txt first, and rigs.txt with --with", where=where)
+    rows = list(_binary_rows(sources[0]) if _is_binary(sources[0]) else _lines(sources[0]))
+    if not rows:
+        raise InvalidInput("holds no cameras", where=where)
     names = {words[0]: f"{CAMERA}_{words[0]}" if len(rows) > 1 else CAMERA for _, words in rows}
     cameras = {names[words[0]]: _entry(where, line, words, given) for line, words in rows}
     if len(cameras) < len(rows):
@@ -81,6 +87,10 @@ def read(sources: Sequence[Source], given: Given) -> CameraFile:
     for source in sources[1:]:
         transforms = _rig(source, names)
     return CameraFile(cameras, transforms)
+
+
+def _is_binary(source: Source) -> bool:
+    return source.binary or "\0" in source.text
 
 
 def _lines(source: Source) -> Iterator[Line]:
@@ -95,8 +105,12 @@ def _entry(where: str, line: int, words: Sequence[str], given: Given) -> CameraE
         raise InvalidInput("is not CAMERA_ID MODEL WIDTH HEIGHT PARAMS", where=place)
     data = {"MODEL": words[1], "SIZE": words[2:4], "PARAMS": list(words[4:])}
     values = Values(Document(place, data, {}))
-    rows = LENSES.of(values, "MODEL", words[1])
     size = given.size(values.sides("SIZE"), where)
+    if words[1] == PANORAMA:
+        width, height = values.numbers("PARAMS", 2).tolist()
+        core = width / (2 * math.pi), height / math.pi, width / 2 - LENSES.origin, height / 2 - LENSES.origin
+        return CameraEntry(camera_of("equirectangular", size, core, np.zeros(0)))
+    rows = LENSES.of(values, "MODEL", words[1])
     return CameraEntry(LENSES.listed(values, "PARAMS", rows, size, values.numbers("PARAMS")))
 
 
@@ -116,7 +130,7 @@ def _binary_rows(source: Source) -> Iterator[Line]:
 
 def _rig(source: Source, names: dict[str, str]) -> dict[str, Transform]:
     """Return camera_T_camera_1 of the sensors of the first rig, as far as they have a pose."""
-    line, words = next(_lines(source), (1, []))
+    line, words = (0, _binary_rig(source)) if _is_binary(source) else next(_lines(source), (1, []))
     values = Values(Document(f"{source.path}:{line}", {"SENSORS": words}, {}))
     try:
         first, rest, found = words[3], words[4:], {}
@@ -132,10 +146,26 @@ def _rig(source: Source, names: dict[str, str]) -> dict[str, Transform]:
     return found
 
 
+def _binary_rig(source: Source) -> list[str]:
+    """Return the first rig of rigs.bin in the words of rigs.txt."""
+    data = source.text.encode("latin-1")
+    try:
+        _, rig, count, kind, sensor = struct.unpack_from("<QIIiI", data)
+        words, place = [str(rig), str(count), _SENSORS[kind], str(sensor)], 24
+        for _ in range(count - 1):
+            kind, sensor, has_pose = struct.unpack_from("<iI?", data, place)
+            pose = struct.unpack_from("<7d", data, place + 9) if has_pose else ()
+            words += [_SENSORS[kind], str(sensor), str(int(has_pose)), *map(repr, pose)]
+            place += 9 + 8 * len(pose)
+    except (struct.error, IndexError) as error:
+        raise FileError("is truncated, or not a COLMAP rigs.bin", where=str(source.path)) from error
+    return words
+
+
 def outputs(path: Path, file: CameraFile) -> tuple[Path, ...]:
-    """Return cameras.txt, and rigs.txt beside it if the cameras make a rig."""
-    rig = _placed(file) is not None and path.suffix.lower() == ".txt" and not files.is_stream(path)
-    return (path, path.with_name("rigs.txt")) if rig else (path,)
+    """Return cameras.txt or cameras.bin, and rigs.txt or rigs.bin beside it if the cameras make a rig."""
+    rig = _placed(file) is not None and not files.is_stream(path)
+    return (path, path.with_name(f"rigs{path.suffix.lower()}")) if rig else (path,)
 
 
 def _placed(file: CameraFile) -> list[Pose] | None:
@@ -154,6 +184,8 @@ def write(path: Path, file: CameraFile) -> None:
             content += struct.pack("<IiQQ", number, _IDS.index(lens.word), *size)
             content += struct.pack(f"<{len(numbers)}d", *numbers.values())
         files.write_bytes(path, content)
+        for rigs in outputs(path, file)[1:]:
+            files.write_bytes(rigs, _rig_bytes(_placed(file) or []))
         return
     lines = [
         " ".join([str(number), lens.word, *map(str, size), *map(exact_text, numbers.values())])
@@ -162,6 +194,14 @@ def write(path: Path, file: CameraFile) -> None:
     files.write_text(path, _HEAD.format(FORMAT.note, len(lines)) + "\n".join(lines) + "\n")
     for rigs in outputs(path, file)[1:]:
         files.write_text(rigs, _RIG_HEAD + _rig_line(_placed(file) or []) + "\n")
+
+
+def _rig_bytes(poses: Sequence[Pose]) -> bytes:
+    content = struct.pack("<QIIiI", 1, 1, len(poses) + 1, _SENSORS.index("CAMERA"), 1)
+    for number, pose in enumerate(poses, 2):
+        content += struct.pack("<iI?", _SENSORS.index("CAMERA"), number, True)
+        content += struct.pack("<7d", *so3.to_quaternion(pose.rotation), *pose.translation)
+    return content
 
 
 def _rig_line(poses: Sequence[Pose]) -> str:
@@ -181,7 +221,7 @@ FORMAT = CameraFormat(
     write=write,
     outputs=outputs,
     lenses=LENSES,
-    poses="rigs.txt: camera_T_rig, quaternion w x y z",
+    poses="rigs.txt, rigs.bin: camera_T_rig, quaternion w x y z",
     files=2,
     note="cx, cy count from the corner of the image: 0.5 more than OpenCV's",
 )

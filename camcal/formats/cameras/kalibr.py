@@ -1,7 +1,7 @@
 """Kalibr's camchain YAML: cameras cam0, cam1, …, each with the transform from the one before it.
 
 T_cn_cnm1 takes points of camera n-1 to camera n, metres; T_cam_imu those of the IMU to the camera, T_imu_cam, as
-OpenVINS writes it, the reverse. Lenses: pinhole with radtan, equidistant or none. rostopic, cam_overlaps,
+OpenVINS writes it, the reverse. rostopic, cam_overlaps,
 timeshift_cam_imu and line_delay are kept (x_kalibr) and written again. Every number has a dot: Kalibr refuses whole
 ones.
 Source: kalibr_common/python/kalibr_common/ConfigReader.py.
@@ -32,7 +32,7 @@ LENSES = Lenses(
     pinhole-none pinhole fx fy cx cy
     pinhole-radtan opencv4 fx fy cx cy k1 k2 p1 p2
     pinhole-equidistant kannala_brandt4 fx fy cx cy k1 k2 k3 k4
-    pinhole-fov fov fx fy cx cy w
+    pinhole-fov fov fx fy cx cy w=omega
     omni-none mei xi fx fy cx cy
     omni-radtan mei xi fx fy cx cy k1 k2 p1 p2
     ds-none double_sphere xi alpha fx fy cx cy

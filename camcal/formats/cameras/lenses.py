@@ -7,6 +7,7 @@ camcal's model does not have: it has to be 0. f is one focal length for both axe
 A lens model that camcal does not have (yet) is declared alike, and refused by its word.
 """
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -133,6 +134,10 @@ class Lenses:
             for fault in FOCAL_LENGTH(focal, ""):
                 raise wrong(next(own.key for own in lens.keys if own.name[0] == "f"), fault.text)
         model = MODELS[lens.model]
+        for own in lens.keys:
+            low, high = model.limits.get(own.name, (-math.inf, math.inf))
+            if own.name[0] not in "fc" and not low <= found[own.name] <= high:
+                raise wrong(own.key, f"{found[own.name]:.4g} is outside [{low:.4g}, {high:.4g}]")
         return Camera(model, size, np.array([found.get(name, 0.0) for name in model.parameter_names]))
 
     def row(self, camera: Camera) -> Lens | None:

@@ -27,8 +27,8 @@ from camcal.geometry import rotation as so3
 from camcal.geometry.pose import JOINT
 from camcal.parsing import LARGEST
 
-FISHEYE = "kannala_brandt4"
-MODELS = ("opencv5", "opencv8", "opencv12", "opencv14", FISHEYE)
+FISHEYE, OMNIDIR = "kannala_brandt4", "mei"
+MODELS = ("opencv5", "opencv8", "opencv12", "opencv14", FISHEYE, OMNIDIR)
 BY_COUNT = {len(model.parameter_names) - 4: name for name, model in LENSES.items() if model.opencv == OPENCV}
 
 # The names that camera matrix and coefficients go by, those of OpenCV's programs first.
@@ -73,8 +73,10 @@ def read(sources: Sequence[Source], given: Given) -> CameraFile:
     keys = _lens_keys(lenses)
     names = (CAMERA,) if len(keys) == 1 else (LEFT, RIGHT)
     cameras = {
-        name: CameraEntry(_lens(lenses, matrix, coefficients, given), quality=_quality(lenses))
-        for name, (matrix, coefficients) in zip(names, keys, strict=True)
+        name: CameraEntry(_lens(lenses, matrix, coefficients, given, xi), quality=_quality(lenses))
+        for name, (matrix, coefficients), xi in zip(
+            names, keys, ("xi",) if len(keys) == 1 else ("xi1", "xi2"), strict=True
+        )
     }
     placed = next((each for each in values if "R" in each and "T" in each), None) if len(keys) == 2 else None
     transforms = {} if placed is None else {f"{RIGHT}{JOINT}{LEFT}": _relative_pose(placed)}
@@ -105,19 +107,18 @@ def _without_lens(document: Document) -> InvalidInput:
     return InvalidInput(told, where=document.where)
 
 
-def _lens(values: Values, matrix: str, coefficients: str | None, given: Given) -> Camera:
+def _lens(values: Values, matrix: str, coefficients: str | None, given: Given, xi: str) -> Camera:
     core = values.camera_matrix(matrix)
     numbers = np.zeros(0) if coefficients is None else values.numbers(coefficients)
-    if "xi" in values:
-        raise values.wrong(
-            "xi",
-            "is of OpenCV's omnidir, which is not among camcal's lens models: calibrate with cv2.fisheye, or undistort "
-            "images with cv2.omnidir and give the matrix of the result",
-        )
+    size = given.size(_size(values), values.document.where)
+    if xi in values:
+        if len(numbers) != 4:
+            raise values.wrong(coefficients or xi, f"{len(numbers)} coefficients; cv2.omnidir has 4")
+        return camera_of(OMNIDIR, size, core, np.concatenate([values.numbers(xi, 1), numbers]))
     if coefficients is None:
         values.warn("assumed_no_distortion", matrix, "no distortion coefficients: zero distortion assumed")
     model = _model(values, coefficients or matrix, len(numbers), given)
-    return camera_of(model, given.size(_size(values), values.document.where), core, numbers)
+    return camera_of(model, size, core, numbers)
 
 
 def _model(values: Values, key: str, count: int, given: Given) -> str:
@@ -173,9 +174,10 @@ def write(path: Path, file: CameraFile) -> None:
     """
     entries = list(file.cameras.values())
     cameras = [entry.camera for entry in entries]
-    sizes, kinds = {camera.image_size for camera in cameras}, {camera.model.name == FISHEYE for camera in cameras}
+    sizes = {camera.image_size for camera in cameras}
+    kinds = {camera.model.name if camera.model.name in (FISHEYE, OMNIDIR) else "" for camera in cameras}
     if len(sizes) > 1 or len(kinds) > 1:
-        what = "sizes of images" if len(sizes) > 1 else "kinds of lenses (fisheye and not)"
+        what = "sizes of images" if len(sizes) > 1 else "kinds of lenses (fisheye, omnidirectional and not)"
         raise InvalidInput(
             f"OpenCV's files hold no two {what}; write the cameras one by one, FILE#NAME", where=str(path)
         )
@@ -183,20 +185,22 @@ def write(path: Path, file: CameraFile) -> None:
     items: dict[str, file_storage.Item] = {
         "image_width": width,
         "image_height": height,
-        "fisheye_model": int(kinds.pop()),
+        "fisheye_model": int(FISHEYE in kinds),
     }
     if len(cameras) == 1:
-        items |= _items(cameras[0], "camera_matrix", "distortion_coefficients")
+        items |= _items(cameras[0], "camera_matrix", "distortion_coefficients", "xi")
         if "rms_px" in entries[0].quality:
             items["avg_reprojection_error"] = float(entries[0].quality["rms_px"])
     else:
         for side, camera in zip("12", cameras, strict=True):
-            items |= _items(camera, f"M{side}", f"D{side}")
+            items |= _items(camera, f"M{side}", f"D{side}", f"xi{side}")
         items |= _extrinsics(file)
     files.write_text(path, file_storage.text_of(items, path.suffix, opencv_usage(file)))
 
 
-def _items(camera: Camera, matrix: str, coefficients: str) -> dict[str, file_storage.Item]:
+def _items(camera: Camera, matrix: str, coefficients: str, xi: str) -> dict[str, file_storage.Item]:
+    if camera.model.name == OMNIDIR:
+        return {matrix: camera.K, xi: np.array([[camera.value("xi")]]), coefficients: camera.parameters[5:][None]}
     return {matrix: camera.K, coefficients: camera.dist[None]}
 
 

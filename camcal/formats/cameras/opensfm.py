@@ -26,7 +26,7 @@ LENSES = Lenses(
     fisheye kannala_brandt4 focal=f k1? k2?
     fisheye_opencv kannala_brandt4 {_CORE} k1 k2 k3 k4
     fisheye62 fisheye62 {_CORE} k1 k2 k3 k4 k5 k6 p1 p2
-    fisheye624 fisheye624 {_CORE} k1 k2 k3 k4 k5 k6 p1 p2 s0 s1 s2 s3
+    fisheye624 opensfm_fisheye624 {_CORE} k1 k2 k3 k4 k5 k6 p1 p2 s0 s1 s2 s3
     dual dual focal=f k1 k2 transition
     spherical panorama
     """,

@@ -11,8 +11,15 @@ from camcal import files
 from camcal.formats import emit
 from camcal.formats.camera_file import CameraFile
 from camcal.formats.cameras import kalibr
+from camcal.formats.cameras.lenses import Lenses
 from camcal.formats.cameras.record import CameraFormat
 from camcal.geometry.pose import Pose
+
+LENSES = Lenses("""
+    pinhole-none pinhole fx fy cx cy
+    pinhole-radtan opencv4 fx fy cx cy k1 k2 p1 p2
+    pinhole-equidistant kannala_brandt4 fx fy cx cy k1 k2 k3 k4
+""")
 
 
 def write(path: Path, file: CameraFile) -> None:
@@ -30,10 +37,10 @@ FORMAT = CameraFormat(
     name="openvins",
     title="OpenVINS camchain",
     suffixes=(".yaml", ".yml"),
-    models=kalibr.LENSES.models,
+    models=LENSES.models,
     read=kalibr.read,
     write=write,
-    lenses=kalibr.LENSES,
+    lenses=LENSES,
     frames=frozenset({kalibr.IMU}),
     poses="T_imu_cam: imu_T_camera",
     note="name this file under relative_config_imucam; OpenVINS has no lens but pinhole-radtan and pinhole-equidistant",

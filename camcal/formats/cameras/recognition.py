@@ -13,6 +13,10 @@ _CAMCHAIN = (r"^cam\d+[ \t]*:", r"^[ \t]+(?:camera_model|intrinsics)[ \t]*:")
 _COLMAP_MODELS = "(?:SIMPLE_|FULL_|RAD_TAN_)?(?:PINHOLE|RADIAL|OPENCV|FOV|THIN_|DIVISION|FISHEYE|EUCM|EQUIRECT)"
 # a count of 64 bits, then id, model, width and height of the first camera, little endian, none of them 0 but the id
 _COLMAP_BINARY = r"\A(?!\0\0)[\s\S]{2}\0{6}[\s\S]{3}\0[\0-\x14]\0{3}(?:(?!\0{3})[\s\S]{3}\0{5}){2}"
+# a count, then number and sensors of the first rig, type (camera) and number of its first sensor
+_COLMAP_RIGS = (
+    r"\A(?!\0\0)[\s\S]{2}\0{6}[\s\S]{2}\0{2}[\1-\xff]\0{7}[\s\S]{2}\0{2}(?:\Z|[\0\1]\0{3}[\s\S]{2}\0{2}[\0\1])"
+)
 _OPENCV = (
     "camera_matrix|Camera_Matrix|cameraMatrix|CameraMatrix|camera_Matrix|intrinsic_matrix|K|mtx|M1|K1|cameraMatrix1"
 )
@@ -24,7 +28,8 @@ class Row(NamedTuple):
     """A family of camera files.
 
     signs: patterns that all occur in its text; of a binary file in its bytes as Latin-1. names: of files that are
-    written as this family without --to. title, instead: of a family that is not read, and the way out.
+    written as this family without --to. title, instead: of a family that is not read, and the way out; with a name it
+    is written all the same.
     """
 
     name: str
@@ -42,8 +47,7 @@ def _key(name: str) -> str:
 ROWS = (
     Row("camcal_native", (r"^[\"']?format[\"']?[ \t]*:[ \t]*[\"']?camcal-calibration",)),
     Row("", (r"\A(?:\x93NUMPY|PK\x03\x04)",), (), "NumPy arrays", _BY_NUMBERS),
-    Row("", (r"\A#usda|\APXR-USDC",), ("*.usd", "*.usda", "*.usdc"), "USD camera (Isaac, Omniverse, Blender)",
-        _BY_NUMBERS),
+    Row("isaac", (r"\A#usda|\APXR-USDC",), ("*.usda",), "USD camera (Isaac, Omniverse, Blender)", _BY_NUMBERS),
     Row("", (r"\ABLENDER",), ("*.blend",), "Blender scene",
         "give --camera-matrix: fx is focal length / sensor width x image width"),
     Row("", (r"\APix4D camera calibration file",), ("*.cam",), "Pix4D calibrated internal parameters",
@@ -51,7 +55,7 @@ ROWS = (
     Row("", (r"\A# Bundle file",), ("*.out",), "Bundler", "import it in COLMAP and give cameras.txt"),
     Row("", (r"\ANVM_V3",), ("*.nvm",), "VisualSFM", "import it in COLMAP and give cameras.txt"),
     Row("", (r"^#?[ \t]*(?:IMAGE_ID, QW|Image list with|3D point list)",),
-        ("images.txt", "images.bin", "points3D.*", "frames.bin", "rigs.bin"),
+        ("images.txt", "images.bin", "points3D.*", "frames.*"),
         "COLMAP images and points", "give cameras.txt of the same model"),
     Row("", (r"^(?:ParGroup: Cameras|#? *INTERNAL CAMERA PARAMETERS)",), ("*.cal",), "HALCON camera parameters",
         _BY_NUMBERS),
@@ -68,7 +72,9 @@ ROWS = (
         "export the scene to COLMAP and give cameras.txt"),
     Row("", (r"stCamera:|photoshop/1.0/camera-profile",), ("*.lcp",), "Adobe lens profile",
         "it has no pixels: calibrate with images of a board"),
-    Row("", (r"<robot[\s>]",), ("*.urdf", "*.xacro"), "URDF robot", "give the camera_info of its camera"),
+    Row("urdf", (r"<robot[\s>]",), ("*.urdf", "*.xacro"), "URDF robot", "give the camera_info of its camera"),
+    Row("ros_tf", (r"<launch[\s>]",), ("*.launch", "*.launch.xml"), "ROS launch file",
+        "give the camera_info of its camera"),
     Row("", (r"<lensdatabase[\s>]",), ("*lensfun*.xml",), "lensfun lens database",
         "it has no pixels: calibrate with images of a board"),
     Row("metashape", (r"<(?:sensor|calibration)\s[^>]{0,200}?(?:type|class)=|<calibration>\s*<pro|<document version=",),
@@ -82,7 +88,7 @@ ROWS = (
         "export it to COLMAP and give cameras.txt"),
     Row("", (_key("CalibrationInformation"),), (), "Azure Kinect calibration", _BY_NUMBERS),
     Row("", (_key("CameraCalibrations"),), (), "Project Aria calibration",
-        "fisheye624 is no lens model of camcal: undistort the images with projectaria_tools"),
+        "write its fisheye624 as COLMAP's RAD_TAN_THIN_PRISM_FISHEYE, or undistort the images with projectaria_tools"),
     Row("", (_key(r"intrinsic_left\.x\.x"),), (), "RealSense advanced-mode table",
         "give the intrinsics that rs-enumerate-devices -c prints, as --camera-matrix and --distortion"),
     Row("", (_key("cam_K"),), ("scene_camera.json",), "BOP scene cameras", _BY_NUMBERS),
@@ -99,6 +105,7 @@ ROWS = (
     Row("open3d", (_key("intrinsic_matrix"), _key("width")), ("*open3d*.json",)),
     # what is told by a few keys or words of its own
     Row("colmap", (_COLMAP_BINARY,), ("cameras.bin",)),
+    Row("colmap", (_COLMAP_RIGS,), ("rigs.bin",)),
     Row("colmap", (rf"^\d+ {_COLMAP_MODELS}\w* \d+ \d+ |^# (?:Camera list with one|Rig calib list)",),
         ("cameras.txt", "rigs.txt")),
     Row("mrcal", (r"['\"]lensmodel['\"]\s*:",), ("*.cameramodel",)),

@@ -19,6 +19,8 @@ from camcal.formats.native import NAME
 from camcal.geometry.pose import JOINT
 
 CAMERA, LEFT, RIGHT = "camera", "left", "right"  # names of cameras whose file gives none
+EVERY_LENS = tuple(MODELS)  # of a format that has any lens, or none
+ANY_FRAME = frozenset({"*"})
 
 
 class MissingSize(InvalidInput):
@@ -66,11 +68,11 @@ class CameraFormat:
     title: its name in words. suffixes: of the files it writes, the usual one first. models: the lens models that it
     writes, the simplest of each family first. most_cameras: None for any number. keeps: what it holds beyond lenses,
     sizes of images and transforms between cameras, by the names that `left_out` gives it. frames: which others than
-    cameras its transforms may have. files: how many may belong together as IN and --with. read: the cameras in so many
-    files. write: writes cameras whose lens models are of `models`; outputs: the files that this writes. usage: with
-    which functions such a file is used. in_folder: whether a path without a suffix is a folder with a file for each
-    camera. lenses: how its lenses are written, where that is declared. poses: which transforms it has, in words. note:
-    what who uses such a file has to know. By which text a file is known says `recognition`.
+    cameras its transforms may have, ANY_FRAME for all. files: how many may belong together as IN and --with. read: the
+    cameras in so many files. write: writes cameras whose lens models are of `models`; outputs: the files that this
+    writes. usage: with which functions such a file is used. in_folder: whether a path without a suffix is a folder with
+    a file for each camera. lenses: how its lenses are written, where that is declared. poses: which transforms it has,
+    in words. note: what who uses such a file has to know. By which text a file is known says `recognition`.
     """
 
     name: str
@@ -100,8 +102,21 @@ def read_only(program: str) -> Callable[[Path, CameraFile], None]:
     return refuse
 
 
+def write_only(program: str) -> Callable[[Sequence[Source], Given], CameraFile]:
+    """Return what refuses to read files of a program, with InvalidInput."""
+
+    def refuse(sources: Sequence[Source], _given: Given) -> NoReturn:
+        raise InvalidInput(f"{program}: written, not read", where=str(sources[0].path))
+
+    return refuse
+
+
 def opencv_usage(file: CameraFile) -> str:
     """Return with which of OpenCV's functions the cameras of a file are used: those of a fisheye are others."""
+    models = {entry.camera.model.name for entry in file.cameras.values()}
+    if "mei" in models:
+        how = "undistortImage(image, K, D, xi, cv2.omnidir.RECTIFY_PERSPECTIVE, Knew=K)"
+        return f"omnidirectional: use cv2.omnidir.{how}, not {OPENCV}.undistort"
     if any(entry.camera.model.opencv == FISHEYE for entry in file.cameras.values()):
         return f"fisheye: use {FISHEYE}.undistortImage(image, K, D, Knew=K), not {OPENCV}.undistort"
     return f"use {OPENCV}.undistort(image, K, D)"
@@ -135,6 +150,11 @@ def name_of(text: str, fallback: str = CAMERA) -> str:
     """Return the name of a camera that another program calls by any text."""
     name = re.sub(r"[^A-Za-z0-9]+", "_", text).strip("_")
     return name if NAME.match(name) and JOINT not in name else fallback
+
+
+def name_of_topic(topic: str) -> str:
+    """Return the name of a camera whose camera_info or images have a topic of ROS: left for /left/camera_info."""
+    return name_of(topic.rpartition("/")[0])
 
 
 def camera_of(

@@ -202,6 +202,14 @@ def write(path: Path, file: CameraFile) -> None:
         files.write_text(target, _text(file, name, rectified))
 
 
+def text_of(message: Any, name: str) -> str:
+    """Return the text of the file of a sensor_msgs/CameraInfo, of ROS 1 (D, K, R, P) or ROS 2 (d, k, r, p)."""
+    D, K, R, P = (np.asarray(vars(message).get(each, vars(message).get(each.lower()))) for each in "DKRP")
+    rectified = Rectified(R.reshape(3, 3), P.reshape(3, 4))
+    data = _block((message.width, message.height), name, K.reshape(3, 3), (message.distortion_model, D), rectified)
+    return emit.document(data, number=emit.exact_text)
+
+
 def kept(entry: CameraEntry) -> Rectified | None:
     """Return the R and P that the camera's file had, None if there are none."""
     block: Any = entry.extra.get(VENDOR_KEY)
@@ -224,17 +232,25 @@ def _kept_pair(entries: Sequence[CameraEntry], right_T_left: Pose) -> tuple[Rect
 
 def _text(file: CameraFile, name: str, rectified: Rectified) -> str:
     camera = file.cameras[name].camera
-    data: dict[str, Any] = {
-        "image_width": camera.image_size[0],
-        "image_height": camera.image_size[1],
+    distortion = MODELS[camera.model.name], camera.parameters[4:]
+    data = _block(camera.image_size, name, camera.K, distortion, rectified)
+    return emit.document(data, f"OpenCV: {opencv_usage(file)}", number=emit.exact_text)
+
+
+def _block(
+    size: tuple[int, int], name: str, K: Array, distortion: tuple[str, Array], rectified: Rectified
+) -> dict[str, Any]:
+    """Return the keys of a camera; distortion: its model and the coefficients (N,)."""
+    return {
+        "image_width": size[0],
+        "image_height": size[1],
         "camera_name": name,
-        "camera_matrix": _matrix(camera.K),
-        "distortion_model": MODELS[camera.model.name],
-        "distortion_coefficients": _matrix(camera.parameters[4:][None]),
+        "camera_matrix": _matrix(K),
+        "distortion_model": distortion[0],
+        "distortion_coefficients": _matrix(distortion[1][None]),
         "rectification_matrix": _matrix(rectified.rotation),
         "projection_matrix": _matrix(rectified.projection),
     }
-    return emit.document(data, f"OpenCV: {opencv_usage(file)}", number=emit.exact_text)
 
 
 def _matrix(matrix: Array) -> Mapping[str, Any]:

@@ -43,11 +43,12 @@ def write(path: Path, file: CameraFile) -> None:
     lines = ["%YAML:1.0", "---", f"# {FORMAT.note}", f"model_type: {lens.word}", f"camera_name: {name}"]
     lines += [f"image_width: {width}", f"image_height: {height}"]
     core = [own.key for own in lens.keys if own.name in ("fx", "fy", "cx", "cy")]
-    distortion = [key for key in numbers if key not in core]
-    together = lens.word == "KANNALA_BRANDT"
-    sections = {"projection_parameters": [*distortion, *core]} if together else {
-        "distortion_parameters": distortion, "projection_parameters": core
-    }  # fmt: skip
+    mirror = [key for key in numbers if key == "xi"]
+    distortion = [key for key in numbers if key not in (*core, *mirror)]
+    sections = dict(zip(_SECTIONS, (mirror, distortion, core), strict=True))
+    if lens.word == "KANNALA_BRANDT":
+        sections = {_SECTIONS[-1]: [*distortion, *core]}
+    sections = {section: keys for section, keys in sections.items() if keys}
     for section, keys in sections.items():
         lines += [f"{section}:", *(f"   {key}: {exact_text(numbers[key])}" for key in keys)]
     files.write_text(path, "\n".join([*lines, ""]))

@@ -184,8 +184,8 @@ def _tracks_document(images: Sequence[str], objects: Mapping[str, TrackedObject]
                 "process_noise": _noise(each.track),
                 "ambiguous": [
                     {
-                        "start_s": float(each.track.stamps[first]),
-                        "end_s": float(each.track.stamps[last]),
+                        "start_s": emit.Exact(each.track.stamps[first]),
+                        "end_s": emit.Exact(each.track.stamps[last]),
                         "p_branch": chance,
                     }
                     for first, last, chance in each.track.ambiguous
@@ -204,7 +204,7 @@ def _noise(track: Track) -> dict[str, Any]:
 
 def _block(item: TrackedObject, index: int, image: str) -> dict[str, Any]:
     track, single = item.track, item.single[index]
-    block: dict[str, Any] = {"t": float(track.stamps[index]), "frame": image, "state": track.states[index]}
+    block: dict[str, Any] = {"t": emit.Exact(track.stamps[index]), "frame": image, "state": track.states[index]}
     if track.segments[index] >= 0:
         block["segment"] = int(track.segments[index])
     if track.posed[index]:

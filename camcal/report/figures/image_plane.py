@@ -13,8 +13,6 @@ from camcal.calibrate.intrinsics import Calibration
 from camcal.cameras.model import Camera
 from camcal.cameras.validity import ImageCircle, rim
 from camcal.messages import counted
-from camcal.quality.camera_comparison import CameraComparison
-from camcal.quality.camera_drift import LensDrift
 from camcal.quality.projection_uncertainty import ProjectionUncertainty
 from camcal.report.figures.figure import COLOUR_MAP, Plot, Theme, panel_height
 
@@ -24,7 +22,6 @@ _LONG, _SHARE = 0.95, 0.05  # the quantile of residuals that is drawn this share
 _CELLS = 12  # across the longer side of the image
 _LEAST_MEAN = 4  # corners in a cell whose mean is drawn
 _LEVELS = 6
-_SIGMAS = 3.0  # of a difference: the line in its map
 
 
 def projection_uncertainty(
@@ -39,7 +36,7 @@ def projection_uncertainty(
         within = " The dashed line surrounds the corners: beyond it the lens is extrapolated."
 
     def draw(figure: FigureBase, theme: Theme) -> None:
-        axes = _image_axes(figure, image_size)
+        axes = image_axes(figure, image_size)
         _draw_uncertainty(axes, uncertainty, theme)
         _draw_circle(axes, circle, theme)
 
@@ -71,90 +68,6 @@ def _draw_uncertainty(axes: Axes, uncertainty: ProjectionUncertainty, theme: The
     axes.set_facecolor(theme.faint)
 
 
-def camera_difference(found: CameraComparison) -> Plot:
-    """Return the map of the difference of two cameras, RMS over the distances, and its directions at the first."""
-    figures = [found.figures(index) for index in range(len(found.distances))]
-    worst = max(each["compared_worst_px"] or 0.0 for each in figures)
-    rms = float(np.sqrt(np.mean([(each["compared_rms_px"] or 0.0) ** 2 for each in figures])))
-    return _vector_map(
-        "camera_difference",
-        (
-            "Difference of two cameras",
-            "Difference of the projections",
-            "difference",
-            "from the first camera to the second",
-        ),
-        f"{rms:.2g} px RMS, at most {worst:.2g} px where both cameras are known",
-        (found.u, found.v),
-        np.sqrt(np.mean(found.lengths**2, axis=0)),
-        found.difference[0],
-        found.compared,
-        np.sqrt(np.mean(found.sigmas**2, axis=0)),
-    )
-
-
-def lens_drift(found: LensDrift) -> Plot:
-    """Return the map of the displacement of projections since a calibration."""
-    rms, lengths = found.rms_px, np.linalg.norm(found.moved, axis=1)
-    return _vector_map(
-        "lens_drift",
-        ("Drift since the calibration", "Displacement of the projections since the calibration", "drift", "from then"),
-        f"{rms.value:.2g} ± {rms.std:.1g} px RMS, at most {found.worst_px.value:.2g} px where the calibration holds",
-        (found.u, found.v),
-        lengths,
-        found.moved,
-        found.inside,
-        lengths / np.maximum(found.std, 1e-12),
-    )
-
-
-def _vector_map(
-    name: str,
-    words: tuple[str, str, str, str],
-    said: str,
-    grid: tuple[Array, Array],
-    lengths: Array,
-    vectors: Array,
-    inside: Array,
-    sigmas: Array,
-) -> Plot:
-    """Return the map of lengths (N,) with some of the vectors (N, 2), a dashed line around the pixels inside (N,), and
-    another one around less than some standard deviations, sigmas (N,).
-
-    words: the title, what is shown, in one word, and which way its arrows are.
-    """
-    (u, v), (title, shown, short, arrows) = grid, words
-    size, shape = (round(float(u[-1])) + 1, round(float(v[-1])) + 1), (len(v), len(u))
-    values, levels = (np.ma.masked_invalid(each.reshape(shape)) for each in (lengths, sigmas))
-    pixels = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
-    drawn = np.isfinite(vectors).all(axis=1) & (np.indices(shape) % 2 == 1).all(axis=0).ravel()
-    factor = magnification(np.linalg.norm(vectors[drawn], axis=1), size[0])
-    contour = levels.count() and levels.min() < _SIGMAS < levels.max()
-
-    def draw(figure: FigureBase, theme: Theme) -> None:
-        axes = _image_axes(figure, size)
-        scale = scale_of(values.compressed())
-        mesh = axes.pcolormesh(u, v, values, norm=scale, cmap=COLOUR_MAP, shading="gouraud", rasterized=True)
-        colour_bar(axes, mesh, f"{short}, px")
-        _draw_vectors(axes, pixels[drawn], factor * vectors[drawn], theme.series[1], 0.8)
-        for levelled, level, style in ((inside.reshape(shape).astype(float), 0.5, "--"), (levels, _SIGMAS, "-")):
-            if style == "--" or contour:
-                axes.contour(u, v, levelled, levels=[level], colors="white", linestyles=style, linewidths=1.4)
-        axes.set_facecolor(theme.faint)
-        axes.set_title(f"arrows magnified {factor:g} x", loc="right")
-
-    return Plot(
-        name,
-        title,
-        f"{shown}, {said} (inside the dashed line); arrows {arrows}, magnified {factor:g} x."
-        + (f" White line: {_SIGMAS:g} standard deviations." if contour else ""),
-        f"Map of the image coloured by the {title[0].lower()}{title[1:]}, {said}.",
-        draw,
-        panel_height(size),
-        dense=True,
-    )
-
-
 def residual_vectors(calibration: Calibration) -> Plot:
     """Return the residuals as magnified vectors at the corners, with the means of cells of the image."""
     size = calibration.camera.image_size
@@ -166,9 +79,9 @@ def residual_vectors(calibration: Calibration) -> Plot:
     crosses = f" Crosses: {counted(left, 'rejected corner')}." if left else ""
 
     def draw(figure: FigureBase, theme: Theme) -> None:
-        axes = _image_axes(figure, size)
-        _draw_vectors(axes, calibration.pixels, factor * calibration.residuals, theme.series[0], 0.6)
-        _draw_vectors(axes, means[0], factor * means[1], theme.series[1], 1.8)
+        axes = image_axes(figure, size)
+        draw_vectors(axes, calibration.pixels, factor * calibration.residuals, theme.series[0], 0.6)
+        draw_vectors(axes, means[0], factor * means[1], theme.series[1], 1.8)
         if left:
             at = np.array([corner.pixel for corner in calibration.rejected])
             axes.plot(at[:, 0], at[:, 1], "x", color=theme.ink, ms=5, label="rejected")
@@ -257,7 +170,7 @@ def coverage(
             border = np.vstack([found, found[:1]])
 
     def draw(figure: FigureBase, theme: Theme) -> None:
-        axes = _image_axes(figure, size)
+        axes = image_axes(figure, size)
         u, v = np.linspace(-0.5, size[0] - 0.5, columns + 1), np.linspace(-0.5, size[1] - 0.5, rows + 1)
         mesh = axes.pcolormesh(u, v, np.ma.masked_equal(counts, 0), cmap=COLOUR_MAP, vmin=0, rasterized=True)
         colour_bar(axes, mesh, "corners per cell")
@@ -292,7 +205,7 @@ def field_angle(camera: Camera, circle: ImageCircle | None = None) -> Plot:
     focal = ", ".join(f"{name} {camera.value(name):.5g} px" for name in ("fx", "fy"))
 
     def draw(figure: FigureBase, theme: Theme) -> None:
-        axes = _image_axes(figure, camera.image_size)
+        axes = image_axes(figure, camera.image_size)
         mesh = axes.pcolormesh(u, v, angles, cmap=COLOUR_MAP, shading="gouraud", vmin=0, rasterized=True)
         colour_bar(axes, mesh, "angle, deg")
         axes.contour(u, v, angles, levels=_LEVELS + 2, colors="white", linewidths=0.8)
@@ -312,7 +225,7 @@ def field_angle(camera: Camera, circle: ImageCircle | None = None) -> Plot:
     )
 
 
-def _image_axes(figure: FigureBase, size: tuple[int, int]) -> Axes:
+def image_axes(figure: FigureBase, size: tuple[int, int]) -> Axes:
     """Return axes over an image of a size (width, height), y down."""
     axes: Axes = figure.subplots()
     axes.set_xlim(-0.5, size[0] - 0.5)
@@ -329,7 +242,7 @@ def _draw_circle(axes: Axes, circle: ImageCircle | None, theme: Theme) -> None:
         axes.add_patch(Circle(circle.centre, circle.radius, fill=False, ec=theme.ink, ls=":", lw=1.2))
 
 
-def _draw_vectors(axes: Axes, start: Array, vectors: Array, colour: str, width: float) -> None:
+def draw_vectors(axes: Axes, start: Array, vectors: Array, colour: str, width: float) -> None:
     axes.quiver(
         *start.T,
         *vectors.T,

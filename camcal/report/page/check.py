@@ -7,7 +7,8 @@ from camcal.messages import counted
 from camcal.quality.camera_check import DRIFTED, NOT_SHOWN, VALID, WORDS, Checked, CheckedCamera
 from camcal.quality.camera_drift import LensDrift, drift_grid
 from camcal.quality.projection_uncertainty import ProjectionUncertainty
-from camcal.report.figures.image_plane import lens_drift, projection_uncertainty
+from camcal.report.figures.differences import lens_drift
+from camcal.report.figures.image_plane import projection_uncertainty
 from camcal.report.page.record import BAD, GOOD, UNKNOWN, WARNING, Page, PageVerdict, Section, ShownMessage, Table
 from camcal.report.page.record import Figure as KeyFigure
 from camcal.report.page.thumbnails import pictures

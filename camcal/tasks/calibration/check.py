@@ -282,8 +282,8 @@ def _write(report: CheckReport, options: CheckOptions, known: Mapping[str, Check
         files.write_text(options.report, rendered(page))
     drift = next(iter(report.found.values())).drift
     if options.plot is not None and isinstance(drift, LensDrift):
+        from camcal.report.figures.differences import lens_drift
         from camcal.report.figures.figure import encoded
-        from camcal.report.figures.image_plane import lens_drift
 
         files.write_bytes(options.plot, encoded(lens_drift(drift), options.plot.suffix))
 

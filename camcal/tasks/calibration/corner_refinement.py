@@ -138,7 +138,7 @@ def _expected_views(expected: Mapping[str, _ExpectedView], videos: Sequence[Vide
     for video in videos:
         for frame in video.only(expected).frames():
             expected_view = expected[frame.name]
-            yield replace(expected_view, image=frame.image.pixels)
+            yield replace(expected_view, image=frame.measured)
 
 
 def _remeasure(expected_view: _ExpectedView, board: Board, reading: ImageReadOptions) -> BoardDetection:

@@ -10,6 +10,7 @@ from camcal.arrays import Array
 from camcal.errors import CamcalError, FileError, InvalidInput
 from camcal.formats import boards, detections, native_entry
 from camcal.images.files import KINDS, save
+from camcal.images.videos import title
 from camcal.messages import Message
 from camcal.progress import SILENT, Progress, values_of, warn_of
 from camcal.raw.options import AS_IMAGES, ImageReadOptions
@@ -255,7 +256,7 @@ def _in_videos(
     for video in videos:
         # one outcome after another: each holds its frame
         work = partial(detect_frame, parts=options.parts, measured=not locate)
-        what = f"detecting in {video.path.name}"
+        what = f"detecting in {title(video.path)}"
         found: Items[tuple[str, Frame, Board], BoardDetection] = Items(
             _settings(options, locate=locate), _of_frame, result=BoardDetection
         )
@@ -279,7 +280,7 @@ def _of_frame(task: tuple[str, Frame, Board]) -> list[Path | str]:
     """Return what is searched for a board: a frame, by its name too, and the one before, which tells of motion."""
     name, frame, board = task
     before = () if frame.before is None else (fingerprint.of_array(frame.before),)
-    return [name, fingerprint.of_array(frame.image.pixels), str(frame.image.orientation), *before, repr(board)]
+    return [name, fingerprint.of_array(frame.measured), str(frame.image.orientation), *before, repr(board)]
 
 
 def document(report: DetectReport, output: Path | None) -> dict[str, Any]:

@@ -62,8 +62,8 @@ def diff(options: DiffOptions) -> DiffReport:
         raise InvalidInput(f"--plot draws one difference, and there are {len(found)}: name two cameras, or use --csv")
     claim(outputs)
     if options.plot is not None:
+        from camcal.report.figures.differences import camera_difference
         from camcal.report.figures.figure import encoded
-        from camcal.report.figures.image_plane import camera_difference
 
         files.write_bytes(options.plot, encoded(camera_difference(next(iter(found.values()))), options.plot.suffix))
     if options.csv is not None:

@@ -100,7 +100,7 @@ class Drawing:
 
     def _frames(self, camera: str, source: Path, output: Path) -> Iterator[_Item]:
         try:
-            sha256 = fingerprint.of_file(source)
+            sha256 = fingerprint.of_source(source)
             for number, image in enumerate(frames(source)):
                 self._check_size(camera, source, image)
                 yield _Item(source, camera, output.with_stem(f"{output.stem}_{number:06d}"), number, image, sha256)

@@ -27,6 +27,7 @@ from camcal.images.views import make_view
 from camcal.messages import Message
 from camcal.options import command_line
 from camcal.progress import SILENT, Outcome, Progress, reused, warn_of
+from camcal.run import fingerprint
 from camcal.run.outputs import claim, writes
 from camcal.run.paths import Media, find_media, names_file, refuse_collisions, require_one, split_address
 from camcal.tasks.calibration.drawing import Drawing, Drawn, Sources, require_success, same_shape
@@ -66,7 +67,7 @@ class SourceCamera:
         """Where the camera comes from, for the provenance of what is made with it."""
         if self.path is None:
             return {"name": self.name, "given_by": "--camera-matrix"}
-        return {"file": self.path.as_posix(), "name": self.name, "sha256": files.sha256(self.path)}
+        return {"file": self.path.as_posix(), "name": self.name, "sha256": fingerprint.of_source(self.path)}
 
 
 @dataclass(frozen=True, eq=False)

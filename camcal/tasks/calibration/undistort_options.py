@@ -6,7 +6,7 @@ from typing import Annotated
 
 from camcal.errors import InvalidInput
 from camcal.files import STANDARD
-from camcal.images.options import JPEG_QUALITY, ViewOptions
+from camcal.images.options import JPEG_QUALITY, MAP_SUFFIXES, MESH_STEP, ViewOptions
 from camcal.options import INPUT, NUMBERS, OUTPUT, Argument, Option, OptionsRecord, Without, Written
 from camcal.run.options import DEFAULT_BATCH, BatchOptions
 from camcal.tasks.options import (
@@ -31,7 +31,9 @@ class UndistortOptions(OptionsRecord):
     border: one number, or one for each channel. format: None keeps the type of the source. mask: write
     which pixels have a source, too. scale_intrinsics: fit the camera to resized images. align_channels: draw the
     colours of colour images through their own lenses, where the camera file has them. points: a CSV file with columns
-    u, v and any others, in place of images. distort: from pixels of the view to pixels of the image the camera took.
+    u, v and any others, in place of images. maps: write where the pixels of the view come from, in place of images;
+    mesh_step: pixels between those of an LDC mesh. distort: from pixels of the view to pixels of the image the camera
+    took.
     """
 
     camera: Annotated[
@@ -41,8 +43,8 @@ class UndistortOptions(OptionsRecord):
     output: Annotated[
         Path,
         output_option(
-            "Output folder; for one image also the file, for --points a CSV.",
-            Written(lambda: (*image_suffixes(), ".csv"), folder=True, stdout=True),
+            "Output folder; for one image also the file, for --points a CSV, for --maps a map.",
+            Written(lambda: (*image_suffixes(), ".csv", *MAP_SUFFIXES), folder=True, stdout=True),
             required=True,
         ),
     ] = Path("undistorted")
@@ -57,7 +59,22 @@ class UndistortOptions(OptionsRecord):
             group=INPUT,
         ),
     ] = None
-    distort: Annotated[bool, Option("With --points: map undistorted pixels back to the original image.")] = False
+    maps: Annotated[
+        bool,
+        Option(
+            "Write the map of the view instead of images: .npz for cv2.remap, .exr or .png (16 bits) as an ST map, "
+            ".txt as offsets for Texas Instruments' LDC.",
+            group=OUTPUT,
+        ),
+    ] = False
+    mesh_step: Annotated[
+        int,
+        Option("Of the offsets of --maps: pixels between two nodes.", metavar="PX", group=OUTPUT, least=1, most=128),
+    ] = MESH_STEP
+    distort: Annotated[
+        bool,
+        Option("With --points and --maps: the way back, from undistorted pixels to the original image."),
+    ] = False
     view: ViewOptions = field(default_factory=ViewOptions)
     interpolation: Annotated[
         str,
@@ -94,12 +111,17 @@ class UndistortOptions(OptionsRecord):
         alone = self.given.without_file([self.camera] if self.camera else [])
         if self.camera is None and not alone:
             raise InvalidInput("no camera: give a camera file, or --camera-matrix FX,FY,CX,CY")
-        if self.points is not None and self.images:
-            raise InvalidInput(f"--points takes no images, found {self.images[0]}")
+        if self.points is not None and self.maps:
+            raise InvalidInput("--points and --maps: give one of them")
+        other = "--points" if self.points is not None else "--maps" if self.maps else None
+        if other is not None and self.images:
+            raise InvalidInput(f"{other} takes no images, found {self.images[0]}")
+        if self.maps and self.output.suffix.lower() not in MAP_SUFFIXES:
+            raise InvalidInput(f"--maps is written as {', '.join(MAP_SUFFIXES)}", where=str(self.output))
         if self.points is None and str(self.output) == STANDARD:
             raise InvalidInput("--output writes only --points to standard output; name a folder for images")
-        if self.points is None and self.distort:
-            raise InvalidInput("--distort is for --points")
+        if other is None and self.distort:
+            raise InvalidInput("--distort is for --points and --maps")
 
     @property
     def camera_file(self) -> str | None:

@@ -20,15 +20,16 @@ from camcal.arrays import Array, PixelArray
 from camcal.calibrate.frames import BLURRED, CHOSEN, MOVING, SAME, SURPLUS, FrameChoice, choose_frames
 from camcal.errors import CamcalError, InvalidInput
 from camcal.images import video
-from camcal.images.files import gray_8bit
+from camcal.images.files import gray_8bit, gray_levels
 from camcal.images.image import Image
 from camcal.images.video import focus, motion, reduced
+from camcal.images.videos import title
 from camcal.progress import Progress
 from camcal.report.table import Column
 from camcal.targets.board import Board
 from camcal.targets.corners.measure import edge_blur
 from camcal.targets.detect import SEED, detect, locate
-from camcal.targets.detection import BoardDetection
+from camcal.targets.detection import BoardDetection, MaskedImage
 from camcal.tasks.calibration.options import FrameOptions
 
 COLUMNS = (
@@ -43,11 +44,20 @@ SEARCHED_PER_CHOSEN = 8  # frames that are searched for every one that may be ch
 
 
 class Frame(NamedTuple):
-    """A gray frame of a video under its name; before: a reduced copy of the frame before it, None of the first one."""
+    """A gray frame of a video under its name; before: a reduced copy of the frame before it, None of the first one.
+
+    levels: see `gray_levels`, where the frame has more than 8 bits.
+    """
 
     name: str
     image: Image
     before: PixelArray | None
+    levels: Array | None = None
+
+    @property
+    def measured(self) -> Array:
+        """The gray levels (H, W) by which corners are measured."""
+        return self.image.pixels if self.levels is None else self.levels
 
 
 @dataclass(frozen=True)
@@ -72,7 +82,8 @@ class Video:
             for number, image in enumerate(video.frames(self.path)):
                 gray = gray_8bit(image.pixels) if number in wanted or number + 1 in wanted else image.pixels
                 if number in wanted:
-                    yield Frame(video.frame_name(self.path, number), Image(gray, image.orientation), before)
+                    levels = None if image.pixels.dtype == np.uint8 else gray_levels(image.pixels)
+                    yield Frame(video.frame_name(self.path, number), Image(gray, image.orientation), before, levels)
                 before = reduced(gray) if number + 1 in wanted else None
                 if number >= last:
                     break
@@ -134,7 +145,7 @@ def survey(path: Path, options: FrameOptions, progress: Progress) -> Video:
 
 def surveyed(path: Path, options: FrameOptions, progress: Progress) -> SurveyedVideo:
     """Return what every frame of a video is worth, every options.every-th one; nothing where all are taken."""
-    progress.start(f"surveying {path.name}", None)
+    progress.start(f"surveying {title(path)}", None)
     sharpness: list[float] = []
     numbers: list[int] = []
     count, error = 0, None
@@ -168,7 +179,7 @@ def detect_frame(task: tuple[str, Frame, Board], parts: bool = False, measured: 
     name, frame, board = task
     gray = frame.image.pixels
     digest = hashlib.sha256(gray.tobytes()).hexdigest()
-    found = (detect if measured else locate)(gray, board, partial=parts)
+    found = (detect if measured else locate)(gray, board, partial=parts, samples=MaskedImage(frame.measured))
     found = replace(found, image=name, orientation=frame.image.orientation, sha256=digest)
     if not found.found:
         return found
@@ -228,7 +239,7 @@ def summary(surveyed: Video, records: Sequence[FrameRecord]) -> str:
     others = "".join(f", {whys[why]} {text}" for why, text in words.items() if whys[why])
     taken, found = sum(record.taken for record in own), sum(record.view.found for record in own)
     return (
-        f"{surveyed.path.name}: {taken} of {surveyed.count} frames used; {len(own)} searched, "
+        f"{title(surveyed.path)}: {taken} of {surveyed.count} frames used; {len(own)} searched, "
         f"{found} with the board{others}"
     )
 

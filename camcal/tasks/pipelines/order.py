@@ -11,13 +11,14 @@ from pathlib import Path
 from camcal import system
 from camcal.errors import FileError
 from camcal.formats.documents import Fault
+from camcal.images import videos
 from camcal.options import INPUT, PATH, Argument, Declared
 from camcal.run.options import inputs_of, is_folder
-from camcal.run.paths import IMAGE_SUFFIXES, VIDEO_SUFFIXES, require_there
+from camcal.run.paths import IMAGE_SUFFIXES, require_there
 from camcal.tasks.pipelines.reading import Pipeline
 from camcal.tasks.pipelines.step import Step, families, place_of
 
-_FILE_SUFFIXES = IMAGE_SUFFIXES | VIDEO_SUFFIXES | {
+_FILE_SUFFIXES = IMAGE_SUFFIXES | videos.SUFFIXES | {
     ".yaml", ".yml", ".json", ".xml", ".csv", ".vnl", ".txt", ".tum", ".pfm", ".exr", ".ply", ".html", ".npz", ".dng"
 }  # fmt: skip
 
@@ -187,7 +188,7 @@ def _named_file(each: Declared, text: str) -> Path | None:
 
 
 def _is_there(path: Path) -> bool:
-    return path.exists() or bool(glob.glob(str(path), recursive=True))  # noqa: PTH207 - of absolute patterns too
+    return videos.file_of(path).exists() or bool(glob.glob(str(path), recursive=True))  # noqa: PTH207 - of absolute patterns too
 
 
 def _missing(path: Path) -> str:

@@ -19,8 +19,10 @@ from camcal.estimate.poses.records import Correspondences, PoseEstimate, PoseOpt
 from camcal.formats.camera_file import CalibrationNoise, CameraFile
 from camcal.formats.poses.record import PoseKey
 from camcal.geometry.pose import Pose
+from camcal.images.bag import addressed
 from camcal.images.files import KINDS, gray_8bit, save
 from camcal.images.video import frame_name, frames
+from camcal.images.videos import is_video
 from camcal.messages import Message
 from camcal.parsing import did_you_mean
 from camcal.progress import Progress, values_of, warn_of
@@ -28,7 +30,7 @@ from camcal.raw.reading import read_detection_image
 from camcal.report.overlays import Posed, overlay
 from camcal.run.fanout import fan_out
 from camcal.run.outputs import claim
-from camcal.run.paths import IMAGE_SUFFIXES, VIDEO_SUFFIXES, names_file, refuse_collisions, require_one
+from camcal.run.paths import IMAGE_SUFFIXES, names_file, refuse_collisions, require_one
 from camcal.tasks.calibration.board_views import is_table
 from camcal.tasks.poses.options import DetectionOptions
 from camcal.tasks.poses.pnp_views import Observation, PnpViews, seen_by
@@ -200,7 +202,7 @@ def _sights(seen: PnpViews) -> list[PoseKey]:
 
 def _by_instant(camera: str, seen: PnpViews, inputs: tuple[str, ...], single: bool) -> list[Observation]:
     """Return what a camera saw by the name of the instant; single: there is one image of every camera."""
-    videos = [Path(text).stem for text in inputs if Path(text).suffix.lower() in VIDEO_SUFFIXES]
+    videos = [path.stem for path in videos_in([Path(text) for text in inputs])]
     found: dict[PoseKey, Observation] = {}
     for observation in seen.observations:
         instant = "instant" if single else _instant(Path(observation.pose_key.image).name, camera, videos)
@@ -239,8 +241,9 @@ Work = tuple[
 
 def videos_in(paths: Sequence[Path]) -> list[Path]:
     """Return the videos among files and in folders."""
-    inside = [each for path in paths for each in (sorted(path.iterdir()) if path.is_dir() else [path])]
-    return [path for path in inside if path.suffix.lower() in VIDEO_SUFFIXES]
+    folders = [path for path in paths if path.is_dir() and not is_video(path)]
+    inside = [each for path in paths for each in (sorted(path.iterdir()) if path in folders else [path])]
+    return [addressed(path) for path in inside if is_video(path)]
 
 
 def sheets(objects: Mapping[tuple[str, str | None], Sequence[Posed]], output: Path) -> list[Sheet]:

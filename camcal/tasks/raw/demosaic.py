@@ -19,8 +19,11 @@ from camcal import files
 from camcal.arrays import Array
 from camcal.errors import InvalidInput, Located
 from camcal.formats import emit
+from camcal.images.bag import count
 from camcal.images.files import KINDS, save
 from camcal.images.image import Image
+from camcal.images.video import frame_name
+from camcal.images.videos import address_of
 from camcal.options import NUMBERS, declared
 from camcal.progress import SILENT, Outcome, Progress, failed_items, reused
 from camcal.raw import calibration_frames
@@ -46,7 +49,7 @@ from camcal.raw.tiles import Each, one_by_one
 from camcal.records import entry
 from camcal.run import fingerprint
 from camcal.run.outputs import claim, writes
-from camcal.run.paths import find_images, place
+from camcal.run.paths import find_images, find_media, place
 from camcal.run.process import over_threads
 from camcal.run.resume import Items, resumable
 from camcal.tasks.raw.options import NO_FILES, CorrectionFiles, DemosaicOptions, RawInput
@@ -88,7 +91,7 @@ def demosaic(options: DemosaicOptions, progress: Progress = SILENT) -> list[Outc
     Raises InvalidInput when the pattern is missing or an output would replace an input, FileError for no input, and
     whatever kept a single frame from being developed.
     """
-    sources = find_images(options.inputs, recursive=options.recursive, also=HEADERLESS_SUFFIXES)
+    sources = find_frames(options.inputs, options.recursive)
     bare = [source for source in sources if source.suffix.lower() in BARE_SUFFIXES]
     if bare and options.reading.pattern is None:
         raise missing_pattern(bare[0])
@@ -192,7 +195,7 @@ def _record(frame: Mosaic, developed: DevelopedFrame, options: DemosaicOptions) 
     """Return what was found of a frame, for people and programs; nothing of it is needed to repeat it."""
     record = {
         "source": developed.source.as_posix(),
-        "sha256": files.sha256(developed.source),
+        "sha256": fingerprint.of_source(developed.source),
         "image_size": list(developed.size),
         "pattern": developed.pattern,
         "black": list(developed.black),
@@ -260,7 +263,7 @@ def preview_patterns(options: DemosaicOptions) -> list[PatternPreviews]:
     """
     look = Development(HALF, Balance(GRAY_WORLD), tone="srgb", depth="8")
     written = []
-    sources = find_images(options.inputs, recursive=options.recursive, also=HEADERLESS_SUFFIXES)
+    sources = find_frames(options.inputs, options.recursive)
     claim(_preview(options, source, pattern) for source in sources for pattern in PATTERNS)
     for source in sources:
         frame = read_frame(source, replace(options.reading, pattern=options.reading.pattern or PATTERNS[0]))
@@ -328,7 +331,16 @@ def load_corrections(given: CorrectionFiles, reading: RawInput, first: Path) -> 
 
 def frames(inputs: Sequence[Path | str], reading: RawInput) -> Iterator[Array]:
     """Yield the counts of raw frames, one after the other."""
-    return (read_frame(path, reading).values for path in find_images(inputs, also=HEADERLESS_SUFFIXES))
+    return (read_frame(path, reading).values for path in find_frames(inputs))
+
+
+def find_frames(inputs: Sequence[Path | str], recursive: bool = False) -> list[Path]:
+    """Return the raw frames that inputs stand for, those of topics of bags as `video.frame_name` has them."""
+    media = find_media(inputs, recursive, HEADERLESS_SUFFIXES)
+    topics = [path for path in media.videos if address_of(path) is not None]
+    if (not media.images and not topics) or len(topics) < len(media.videos):
+        return find_images(inputs, recursive, HEADERLESS_SUFFIXES)
+    return [*media.images, *(Path(frame_name(each, number)) for each in topics for number in range(count(each)))]
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,10 @@ from pathlib import Path, PurePath
 from camcal.errors import InvalidInput
 from camcal.formats.native import NAME
 from camcal.geometry.pose import JOINT
+from camcal.images.bag import topics
+from camcal.images.videos import address_of, file_of, is_video
 from camcal.messages import counted
-from camcal.run.paths import IMAGE_SUFFIXES, VIDEO_SUFFIXES, Media, find_media
+from camcal.run.paths import IMAGE_SUFFIXES, Media, find_media
 from camcal.tasks.calibration.board_views import is_table
 
 SYNTAX = "give NAME=PATH for each camera, such as left=photos/left right=photos/right"
@@ -55,12 +57,14 @@ def cameras_of(
     given = [_named(text) for text in texts]
     if not given:
         raise InvalidInput(f"no images given: {SYNTAX}")
+    if len(given) == 1 and address_of(alone := Path(given[0][1])) == (alone, ""):
+        given = [("", str(topic)) for topic in topics(alone)]
     unnamed = [path for name, path in given if not name]
     if unnamed and len(unnamed) < len(given):
         raise InvalidInput(f"some inputs name their camera and this one does not: {SYNTAX}", where=unnamed[0])
     if len(unnamed) == 1:
         [path] = unnamed
-        if Path(path).suffix.lower() in VIDEO_SUFFIXES and Path(path).is_file():
+        if is_video(Path(path)) and file_of(Path(path)).exists():
             raise InvalidInput(f"is the video of one camera: {SYNTAX}", where=path)
         return _in_one(path, recursive, also)
     lines: tuple[str, ...] = ()
@@ -167,7 +171,7 @@ def _folders_in(path: str, also: AbstractSet[str]) -> list[Path]:
 
 
 def _has_media(paths: Iterable[Path], also: AbstractSet[str]) -> bool:
-    return any(path.suffix.lower() in IMAGE_SUFFIXES | VIDEO_SUFFIXES | also for path in paths)
+    return any(path.suffix.lower() in IMAGE_SUFFIXES | also or is_video(path) for path in paths)
 
 
 def split_by_name(paths: Sequence[Path]) -> dict[str, tuple[Path, ...]] | None:

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from camcal import files, records
+from camcal import records
 from camcal.arrays import Array, PixelArray
 from camcal.errors import FileError, GateFailed, InvalidInput
 from camcal.formats import disparity as maps
@@ -257,7 +257,7 @@ def write_map(
         searched=disparity.searched,
         matcher=_settings(options) | {"rows_px": found.rows},
         inputs={
-            name: SourceFile(path, files.sha256(path))
+            name: SourceFile(path, fingerprint.of_source(path))
             for name, path in zip(("left", "right"), images.paths, strict=True)
         },
         camera_R_rectified=known.camera_R_rectified,

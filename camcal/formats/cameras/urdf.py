@@ -1,0 +1,66 @@
+"""URDF: where the cameras of a rig stand, as links of a robot; lenses are not part of it.
+
+A link named CAMERA_optical_frame has the axes of a camera's image: x right, y down, z forward (REP 103). The origin of
+a joint is parent_T_child; rpy turn about the fixed axes x, y, z, in this order.
+"""
+
+from pathlib import Path
+from xml.sax.saxutils import quoteattr
+
+from camcal import files
+from camcal.errors import InvalidInput
+from camcal.formats.camera_file import CameraFile, pose_between, rig_of
+from camcal.formats.cameras.record import ANY_FRAME, EVERY_LENS, CameraFormat, write_only
+from camcal.formats.emit import exact_text
+from camcal.geometry import rotation
+from camcal.geometry.pose import Pose, frames_of
+
+OPTICAL = "_optical_frame"
+NO_LENSES = "lenses are not part of it: write camera_info as well, --to ros"
+_ABOUT_FIXED_AXES = rotation.EulerOrder("xyz", intrinsic=False)
+
+
+def frames_in_root(path: Path, file: CameraFile) -> tuple[str, dict[str, Pose]]:
+    """Return the name of the frame that all others of a file hang on, and root_T_frame of these, by ROS's names.
+
+    Raises InvalidInput where transforms do not join the cameras, or there are none.
+    """
+    names = {name: f"{name}{OPTICAL}" for name in file.cameras}
+    rig, root = rig_of(file, str(path))
+    every = dict.fromkeys((*rig.cameras, *(frame for name in file.transforms for frame in frames_of(name))))
+    poses = {frame: pose_between(file, root, frame) for frame in every if frame != root}
+    if not poses:
+        raise InvalidInput("has no transforms: such a file says where cameras stand", where=str(path))
+    found = {names.get(frame, frame): pose for frame, pose in poses.items() if pose is not None}
+    return names.get(root, root), found
+
+
+def write(path: Path, file: CameraFile) -> None:
+    """Write the frames as links on one root; raises InvalidInput as `frames_in_root` does, FileError."""
+    root, poses = frames_in_root(path, file)
+    lines = ['<?xml version="1.0"?>', '<robot name="rig">', f"  <link name={quoteattr(root)}/>"]
+    for name, pose in poses.items():
+        angles = rotation.to_euler(pose.rotation, _ABOUT_FIXED_AXES).angles
+        xyz, rpy = (" ".join(map(exact_text, values.tolist())) for values in (pose.translation, angles))
+        lines += [
+            f"  <link name={quoteattr(name)}/>",
+            f'  <joint name={quoteattr(f"{root}_to_{name}")} type="fixed">',
+            f"    <parent link={quoteattr(root)}/>",
+            f"    <child link={quoteattr(name)}/>",
+            f'    <origin xyz="{xyz}" rpy="{rpy}"/>',
+            "  </joint>",
+        ]
+    files.write_text(path, "\n".join([*lines, "</robot>", ""]))
+
+
+FORMAT = CameraFormat(
+    name="urdf",
+    title="URDF robot",
+    suffixes=(".urdf",),
+    models=EVERY_LENS,
+    read=write_only("URDF robot"),
+    write=write,
+    poses="origin: root_T_frame, rpy about fixed axes",
+    note=NO_LENSES,
+    frames=ANY_FRAME,
+)
