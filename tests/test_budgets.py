@@ -17,8 +17,8 @@ LINES = {
     "__init__": 37,
     "__main__": 6,
     "arrays": 42,
-    "calibrate": 7729,
-    "cameras": 3363,
+    "calibrate": 7999,
+    "cameras": 3671,
     "cli": 3653,
     "errors": 137,
     "estimate": 8715,
@@ -42,10 +42,10 @@ LINES = {
     "stereo": 5116,
     "system": 281,
     "targets": 7063,
-    "tasks": 23721,
+    "tasks": 23725,
     "urls": 99,
 }
-PARTS = {"modules": 464, "records": 697, "records named in one module": 213, "short functions with one reference": 500}
+PARTS = {"modules": 466, "records": 699, "records named in one module": 213, "short functions with one reference": 500}
 PASSED = {"modules": 155, "functions": 1156, "records": 140}  # from a table of detections to a camera file
 SHORT = 5  # lines of a function's body, which could as well stand where it is called
 

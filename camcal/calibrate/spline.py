@@ -31,7 +31,7 @@ from camcal.solve.least_squares import minimise
 from camcal.solve.losses import Cauchy
 from camcal.solve.steps import SingularError, lower_inverse
 
-# Lenses that a spline may start from, the first one unless another one predicts views better by so many standard errors.
+# Lenses that a spline may start from: the first, unless another one predicts views better by so many standard errors.
 _BASES = (WIDE_MODEL, DEFAULT_MODEL, "kannala_brandt5t")
 _CLEARLY = 1.5
 _SIZES = (8, 11, 15, 20)  # knots across the part of the plane that corners show
