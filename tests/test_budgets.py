@@ -17,7 +17,7 @@ LINES = {
     "__init__": 37,
     "__main__": 6,
     "arrays": 42,
-    "calibrate": 7999,
+    "calibrate": 8004,
     "cameras": 3671,
     "cli": 3653,
     "errors": 137,
@@ -46,7 +46,7 @@ LINES = {
     "urls": 99,
 }
 PARTS = {"modules": 466, "records": 699, "records named in one module": 213, "short functions with one reference": 500}
-PASSED = {"modules": 155, "functions": 1156, "records": 140}  # from a table of detections to a camera file
+PASSED = {"modules": 157, "functions": 1161, "records": 140}  # from a table of detections to a camera file
 SHORT = 5  # lines of a function's body, which could as well stand where it is called
 
 

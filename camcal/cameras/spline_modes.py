@@ -14,7 +14,6 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
@@ -103,10 +102,10 @@ class ReducedSpline:
         return dict.fromkeys(self.parameter_names, (-math.inf, math.inf))
 
     @property
-    def configuration(self) -> Mapping[str, Any]:
+    def configuration(self) -> Mapping[str, object]:
         return self.spline.configuration
 
-    def configured(self, configuration: Mapping[str, Any]) -> CameraModel:
+    def configured(self, configuration: Mapping[str, object]) -> CameraModel:
         """Return the spline with other knots."""
         return self.spline.configured(configuration)
 
@@ -184,7 +183,7 @@ def reduced_spline(base: Camera, rays: Array, weights: Array, spline: SplinedSte
     rays: (M, 3) of the corners in the camera frame. weights: (M,) how much they count. Its spread is 1.
     """
     grid = spline.grid
-    operator = _Fit.of(grid)
+    operator = _KnotFit.of(grid)
     samples = base.model.project_with_jacobians(base.parameters, operator.rays, within_domain=True)
     known = samples.valid
     focal, centre = base.parameters[:2], base.parameters[2:4]
@@ -218,7 +217,7 @@ def reduced_spline(base: Camera, rays: Array, weights: Array, spline: SplinedSte
 
 
 @dataclass(frozen=True, eq=False)
-class _Fit:
+class _KnotFit:
     """Least squares from values at samples of the plane to knots."""
 
     grid: Knots
@@ -228,7 +227,7 @@ class _Fit:
     curvature: Array
 
     @classmethod
-    def of(cls, grid: Knots) -> "_Fit":
+    def of(cls, grid: Knots) -> "_KnotFit":
         columns, rows = grid.counts
         axes = [
             np.linspace(-half, half, _PER_KNOT * (count - 1) + 1)
