@@ -18,12 +18,12 @@ LINES = {
     "__main__": 6,
     "arrays": 42,
     "calibrate": 8004,
-    "cameras": 3671,
+    "cameras": 3900,
     "cli": 3653,
     "errors": 137,
     "estimate": 8715,
     "files": 398,
-    "formats": 12774,
+    "formats": 12860,
     "geometry": 963,
     "images": 2193,
     "messages": 228,
@@ -45,8 +45,8 @@ LINES = {
     "tasks": 23725,
     "urls": 99,
 }
-PARTS = {"modules": 466, "records": 699, "records named in one module": 213, "short functions with one reference": 500}
-PASSED = {"modules": 157, "functions": 1161, "records": 140}  # from a table of detections to a camera file
+PARTS = {"modules": 468, "records": 703, "records named in one module": 217, "short functions with one reference": 500}
+PASSED = {"modules": 158, "functions": 1168, "records": 143}  # from a table of detections to a camera file
 SHORT = 5  # lines of a function's body, which could as well stand where it is called
 
 

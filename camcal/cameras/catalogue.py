@@ -13,6 +13,7 @@ _FILES = (
     "kannala_brandt",
     "sphere_models",
     "short_models",
+    "angle_models",
     "panoramic",
     "rectified_views",
     "spline",

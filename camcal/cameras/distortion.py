@@ -1,4 +1,4 @@
-"""The distortion of a plane: rational radial, tangential, thin prism and tilt terms, with their Jacobians.
+"""The distortion of a plane: rational radial, tangential, thin prism, tilt and shear terms, with their Jacobians.
 
 With r² = x² + y² and c = (1 + k1 r² + k2 r⁴ + …) / (1 + k4 r² + k5 r⁴ + k6 r⁶):
 x_d = c x + 2 p1 x y + p2 (r² + 2 x²) + s1 r² + s2 r⁴
@@ -36,6 +36,7 @@ class Roles:
     decentring: Columns = ()
     late_prism: Columns = ()
     tilt: Columns = ()
+    shear: Columns = ()
 
 
 class Powers(NamedTuple):
@@ -109,6 +110,8 @@ class Distortion:
             result = self._decentring(result, gradient)
         if self.roles.tilt:
             result = self._tilt(result, gradient)
+        if self.roles.shear:
+            result = self._shear(result, gradient)
         return result
 
     def tilt(self) -> Tilt | None:
@@ -251,6 +254,17 @@ class Distortion:
             moved = self._prism(self.roles.late_prism, x, y, powers, moved, gradient)
         return _chained(moved, base, gradient, min(columns))
 
+    def _shear(self, base: Distorted, gradient: Gradient | None) -> Distorted:
+        """Return `base` with (x, y) moved by (e y, d x), e and d the two coefficients; it is the only distortion."""
+        columns = self.roles.shear
+        across, down = self._of(columns)
+        if gradient is not None:
+            gradient.rows[:] = 0.0
+            for axis, value in enumerate((base.y, base.x)):
+                np.multiply(value, gradient.focal[axis], out=gradient.rows[axis, columns[axis]])
+        x, y = base.x + across * base.y, base.y + down * base.x
+        return base._replace(x=x, y=y, x_x=_ONE, x_y=np.array(across), y_x=np.array(down), y_y=_ONE)
+
     def _tilt(self, base: Distorted, gradient: Gradient | None) -> Distorted:
         tilt = Tilt(*self._of(self.roles.tilt))
         matrix = tilt.homography()
@@ -330,6 +344,8 @@ def _powers(x: Array, y: Array) -> Powers:
 
 def _polynomial(coefficients: Sequence[float], variable: Array) -> tuple[Array, Array]:
     """Return 1 + a₁t + a₂t² + … and its derivative at t = `variable` (n,), by Horner's rule."""
+    if not coefficients:
+        return np.ones_like(variable), np.zeros_like(variable)
     last, following, *rest = (*coefficients[::-1], 1.0)
     value, slope = last * variable, np.full_like(variable, last)
     value += following

@@ -7,7 +7,7 @@ Fixed-point iteration, which does for narrow lenses, diverges on wide ones.
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar, NamedTuple, Self
@@ -297,25 +297,38 @@ def undistort(distortion: Distortion, x_d: Array, y_d: Array, limit: Limit) -> t
 
 
 def _undistort_radius(distortion: Distortion, target: Array, limit: Limit) -> Array:
-    """Return the r (n,) with r c(r²) = target (n,): Newton steps, bisection where they leave the bracket.
+    """Return the r (n,) with r c(r²) = target (n,).
 
     A target past the fold is taken just inside: the other terms may still bring the point within reach.
     """
-    low, high = np.zeros_like(target), np.full_like(target, min(limit.radius, FAR))
-    target = np.minimum(target, 0.9999 * limit.distorted)
-    radius = np.where(target < high, target, 0.5 * high)
-    for _ in range(100):
+
+    def distorted(radius: Array) -> tuple[Array, Array]:
         square = radius * radius
         ratio, slope = distortion.radial(square)
-        excess = radius * ratio - target
-        low, high = np.where(excess < 0, radius, low), np.where(excess < 0, high, radius)
-        trial = radius - excess / (ratio + 2.0 * square * slope)
+        return radius * ratio, ratio + 2.0 * square * slope
+
+    end = min(limit.radius, FAR)
+    target = np.minimum(target, 0.9999 * limit.distorted)
+    return find_increasing(distorted, target, np.where(target < end, target, 0.5 * end), end)
+
+
+def find_increasing(function: Callable[[Array], tuple[Array, Array]], target: Array, start: Array, end: float) -> Array:
+    """Return where a function, which returns values and slopes (n,), takes values (n,) as it increases from 0 to `end`.
+
+    Newton steps from `start` (n,), bisection where they leave the bracket.
+    """
+    low, high, place = np.zeros_like(target), np.full_like(target, end), start
+    for _ in range(100):
+        value, slope = function(place)
+        excess = value - target
+        low, high = np.where(excess < 0, place, low), np.where(excess < 0, high, place)
+        trial = place - excess / slope
         trial = np.where((trial >= low) & (trial <= high), trial, 0.5 * (low + high))
-        change = np.abs(trial - radius)
-        radius = trial
-        if not np.any(change > 1e-8 * radius):  # its square is the error left
+        change = np.abs(trial - place)
+        place = trial
+        if not np.any(change > 1e-8 * place):  # its square is the error left
             break
-    return radius
+    return place
 
 
 def refine(distortion: Distortion, target: Array, start: Array, limit: Limit) -> tuple[Array, Array]:

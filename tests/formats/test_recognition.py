@@ -28,7 +28,7 @@ WRITTEN = {
     "HALCON": "ParGroup: Cameras: Internal Parameters;\n",
     "ZED": "[LEFT_CAM_HD]\nfx=701.88\n",
     "CAHVOR": "Dimensions = 6016 4016\nModel = CAHV = perspective, linear\n",
-    "OCamCalib": "#polynomial coefficients for the DIRECT mapping function (ocam_model.ss in MATLAB).\n",
+    "ocamcalib": "#polynomial coefficients for the DIRECT mapping function (ocam_model.ss in MATLAB).\n",
     "DSO": "RadTan 458.6 457.3 367.2 248.4 -0.28 0.07 0.0002 1e-05\n752 480\n",
     "RealityCapture": '<x:xmpmeta><rdf:Description xcr:Version="3"/></x:xmpmeta>\n',
     "Adobe": '<rdf:li stCamera:Make="Canon"/>\n',

@@ -22,6 +22,7 @@ from camcal.errors import FileError, InvalidInput
 from camcal.formats.camera_file import CameraEntry, CameraFile, Transform
 from camcal.formats.cameras import bouguet, mat
 from camcal.formats.cameras.lenses import Lenses
+from camcal.formats.cameras.ocamcalib import polynomial_camera
 from camcal.formats.cameras.record import CAMERA, LEFT, RIGHT, CameraFormat, Given, Source
 from camcal.formats.cameras.syntax import json_text, json_values
 from camcal.formats.cameras.values import Values
@@ -33,7 +34,6 @@ LENSES = Lenses(
     standard opencv4 fx fy cx cy k1 k2 p1 p2
     standard opencv5 fx fy cx cy k1 k2 k3 p1 p2
     KB kannala_brandt4 fx fy cx cy k1 k2 k3 k4
-    fisheye ocam cx cy
     """,
     origin=1.0,
     instead="calibrate there with the standard model, or undistort the images there and give their camera",
@@ -83,12 +83,20 @@ def _first(values: Values, keys: Sequence[str]) -> Values | None:
 
 
 def _camera(values: Values, given: Given) -> Camera:
+    size = None
+    if values.data.get("ImageSize"):
+        height, width = values.sides("ImageSize")
+        size = width, height
+    size = given.size(size, values.document.where)
+    if "MappingCoefficients" in values:
+        first, *others = (-values.numbers("MappingCoefficients", 4)).tolist()
+        x, y = (values.numbers("DistortionCenter", 2) - LENSES.origin).tolist()
+        stretch = values.matrix("StretchMatrix", 2, 2) if "StretchMatrix" in values else np.eye(2)
+        return polynomial_camera(size, np.array([first, 0.0, *others]), stretch, (x, y), values.document.where)
     for key in ("K", "IntrinsicMatrix"):
         if key in values:
             matrix = values.matrix(key, 3, 3)
             data = {**values.data, "matrix": (matrix.T if matrix[2, :2].any() else matrix).tolist()}
-    if "MappingCoefficients" in values:
-        LENSES.of(values, "MappingCoefficients", "fisheye")
     if "K" not in values and "IntrinsicMatrix" not in values:
         (fx, fy), (cx, cy) = values.numbers("FocalLength", 2), values.numbers("PrincipalPoint", 2)
         data = {
@@ -100,11 +108,6 @@ def _camera(values: Values, given: Given) -> Camera:
     tangential = values.numbers("TangentialDistortion", 2).tolist() if "TangentialDistortion" in values else [0.0, 0.0]
     numbers = values.numbers("DistortionCoefficients", 4).tolist() if kannala else [*radial, *tangential]
     every = Values(values.document, values.path, {**data, "coefficients": numbers})
-    size = None
-    if values.data.get("ImageSize"):
-        height, width = values.sides("ImageSize")
-        size = width, height
-    size = given.size(size, values.document.where)
     return LENSES.matrix(every, "matrix", "coefficients", LENSES.of(values, "", "KB" if kannala else "standard"), size)
 
 

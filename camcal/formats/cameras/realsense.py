@@ -24,7 +24,7 @@ LENSES = Lenses("""
     kannala_brandt4 kannala_brandt4 fx fy ppx=cx ppy=cy k1 k2 k3 k4 coeff=0?
     inverse_brown_conrady pinhole fx fy ppx=cx ppy=cy coeff=0? coeff=0? coeff=0? coeff=0? coeff=0?
     modified_brown_conrady pinhole fx fy ppx=cx ppy=cy coeff=0? coeff=0? coeff=0? coeff=0? coeff=0?
-    ftheta ftheta fx fy ppx=cx ppy=cy w
+    ftheta fov fx fy ppx=cx ppy=cy w=omega coeff=0? coeff=0? coeff=0? coeff=0?
 """)  # fmt: skip
 _NUMBERED = ("none", "modified_brown_conrady", "inverse_brown_conrady", "ftheta", "brown_conrady", "kannala_brandt4")
 

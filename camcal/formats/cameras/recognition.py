@@ -63,8 +63,8 @@ ROWS = (
         "give fx, fy, cx, cy of one section as --camera-matrix, k1, k2, p1, p2, k3 as --distortion, and --size WxH"),
     Row("", (r"^[ \t]*Model *= *CAHV",), ("*.cahv", "*.cahvor", "*.cahvore"), "CAHVOR camera model",
         "give the .cameramodel that mrcal-from-cahvor makes of it"),
-    Row("", (r"polynomial coefficients for the DIRECT mapping|^ocam_model",), (), "OCamCalib",
-        "its polynomial is no lens model of camcal: calibrate with --model fisheye"),
+    Row("ocamcalib", ("polynomial coefficients for the DIRECT mapping",), ("calib_results.txt",)),
+    Row("", (r"^ocam_model",), (), "OCamCalib", "export it there as calib_results.txt"),
     Row("", (r"^(?:Pinhole|RadTan|EquiDistant|KannalaBrandt|FOV)\s+[-\d.]+\s",), (), "DSO camera.txt", _BY_NUMBERS),
     Row("", (r"^PhotoModeler",), (), "PhotoModeler camera", _BY_NUMBERS),
     # XML

@@ -6,9 +6,13 @@ KANNALA_BRANDT counts its coefficients from k2. Source: camodocal's camera_model
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+
 from camcal import files
+from camcal.cameras.model import Camera
 from camcal.formats.camera_file import CameraEntry, CameraFile
 from camcal.formats.cameras.lenses import Lenses
+from camcal.formats.cameras.ocamcalib import polynomial_camera
 from camcal.formats.cameras.record import CameraFormat, Given, Source, name_of
 from camcal.formats.cameras.values import Values
 from camcal.formats.documents import parse_foreign
@@ -19,7 +23,6 @@ LENSES = Lenses("""
     PINHOLE_FULL opencv8 fx fy cx cy k1 k2 k3 k4 k5 k6 p1 p2
     KANNALA_BRANDT kannala_brandt4 mu=fx mv=fy u0=cx v0=cy k2=k1 k3=k2 k4=k3 k5=k4
     MEI mei gamma1=fx gamma2=fy u0=cx v0=cy xi k1 k2 p1 p2
-    SCARAMUZZA ocam center_x=cx center_y=cy
 """)  # fmt: skip
 _SECTIONS = ("mirror_parameters", "distortion_parameters", "projection_parameters")
 
@@ -27,12 +30,23 @@ _SECTIONS = ("mirror_parameters", "distortion_parameters", "projection_parameter
 def read(sources: Sequence[Source], given: Given) -> CameraFile:
     """Return the camera; raises InvalidInput for a lens that camcal does not have, MissingSize, FileError."""
     values = Values(parse_foreign(sources[0].text, str(sources[0].path)))
+    if values.text("model_type").lower() == "scaramuzza":
+        return CameraFile({name_of(values.text("camera_name")): CameraEntry(_polynomial(values, given))})
     rows = LENSES.of(values, "model_type", values.text("model_type"))
     parts = [values.below(section).data for section in _SECTIONS if section in values]
     every = Values(values.document, "", {key: item for part in parts for key, item in part.items()})
     size = (values.side("image_width"), values.side("image_height")) if "image_width" in values else None
     camera = LENSES.keyed(every, rows, given.size(size, values.document.where))
     return CameraFile({name_of(values.text("camera_name")): CameraEntry(camera)})
+
+
+def _polynomial(values: Values, given: Given) -> Camera:
+    terms, affine = values.below("poly_parameters"), values.below("affine_parameters")
+    polynomial = np.array([terms.number(f"p{power}") for power in range(5)])
+    stretch = np.array([[affine.number("ac"), affine.number("ad")], [affine.number("ae"), 1.0]])
+    size = given.size((values.side("image_width"), values.side("image_height")), values.document.where)
+    centre = affine.number("cx"), affine.number("cy")
+    return polynomial_camera(size, polynomial, stretch, centre, values.document.where)
 
 
 def write(path: Path, file: CameraFile) -> None:
