@@ -123,8 +123,8 @@ _CALLS = {  # a comment with the purpose above each call, as in a shell
         handeye camera.yaml images/ --robot poses.csv --board chessboard:9x6:25mm -o hand.yaml
         # The board in the hand, poses in millimetres and degrees as the robot shows them
         handeye camera.yaml images/ --robot poses.txt --eye-to-hand --robot-form euler:ZYX:deg -o base.yaml
-        # For URDF and ROS
-        convert hand.yaml hand.urdf
+        # The lens estimated too, from these images alone
+        handeye camera.yaml images/ --robot poses.csv --free-lens -o hand.yaml
     """,
     "check": """
         # Whether last month's calibration still holds
