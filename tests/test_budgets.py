@@ -18,7 +18,7 @@ LINES = {
     "__main__": 6,
     "arrays": 42,
     "calibrate": 7729,
-    "cameras": 3593,
+    "cameras": 3626,
     "cli": 3653,
     "errors": 137,
     "estimate": 8715,
@@ -45,8 +45,8 @@ LINES = {
     "tasks": 23721,
     "urls": 99,
 }
-PARTS = {"modules": 466, "records": 701, "records named in one module": 217, "short functions with one reference": 500}
-PASSED = {"modules": 156, "functions": 1163, "records": 143}  # from a table of detections to a camera file
+PARTS = {"modules": 466, "records": 702, "records named in one module": 218, "short functions with one reference": 500}
+PASSED = {"modules": 156, "functions": 1164, "records": 144}  # from a table of detections to a camera file
 SHORT = 5  # lines of a function's body, which could as well stand where it is called
 
 

@@ -14,7 +14,7 @@ SIZE, NOISE = (1280, 960), 0.15
 BOARD = Board("chessboard", 9, 6, 0.040)
 RIGID = ShapeOptions(smooth=False)
 NARROW, WIDE = 60, 190
-LESS_THAN_180 = {"fov": 150, "division": 150, "orthographic": 150}
+LESS_THAN_180 = {"fov": 150, "division": 150, "orthographic": 150, "ptlens": 120}
 NEW = [name for name, model in MODELS.items() if not model.is_view and not model.opencv and name != "kannala_brandt5t"]
 NEW.remove("splined_stereographic")  # its calibration is not one from an ordinary start
 

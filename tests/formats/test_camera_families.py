@@ -79,7 +79,7 @@ def test_a_lens_is_read_as_it_was_written(tmp_path, name, row):
 @pytest.mark.parametrize("form", [form for form in FORMATS.values() if form.lenses], ids=lambda form: form.name)
 def test_a_declared_lens_has_parameters_of_its_model_only(form):
     for row in form.lenses.rows:
-        if row.model in MODELS:
+        if row.model in MODELS and row.model != "splined_stereographic":  # whose file has its knots in rows
             assert {own.name for own in row.keys} <= {*MODELS[row.model].parameter_names, "f", "fx-fy", "0"}, row
 
 
