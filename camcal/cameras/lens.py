@@ -103,6 +103,8 @@ class CameraModel(Protocol):
     @property
     def prior_mean(self) -> FloatArray: ...
     @property
+    def other_start(self) -> Mapping[str, float]: ...
+    @property
     def typical(self) -> Mapping[str, float]: ...
     @property
     def limits(self) -> Mapping[str, tuple[float, float]]: ...
@@ -141,6 +143,7 @@ class Parameter:
     growth: int | None = None
     spread: float = math.inf
     mean: float = 0.0
+    other: float | None = None
     typical: float = 0.0
     limits: tuple[float, float] = (-LARGEST, LARGEST)
     stage: int = LAST

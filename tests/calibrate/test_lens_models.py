@@ -46,6 +46,13 @@ def test_a_lens_is_found_without_a_hint_as_well_as_from_the_truth(name, fov):
     assert (ordinary.camera.projection_std(np.array([[640.0, 480.0], [900.0, 700.0]])) < 0.5).all()
 
 
+@pytest.mark.parametrize("xi", [-0.3, 0.3])
+def test_both_kinds_of_double_spheres_are_found(xi):
+    truth = make_camera(MODELS["double_sphere"], SIZE, np.radians(WIDE), {"xi": xi, "alpha": 0.55})
+    found = calibrate(seen_by(truth), BOARD, Options(MODELS["double_sphere"], shape=RIGID)).camera
+    assert abs(found.value("xi") - xi) < 4 * found.std("xi")
+
+
 @pytest.mark.parametrize("name", ["ucm", "eucm"])
 def test_a_parameter_beyond_its_limits_is_held_there(name):
     truth = make_camera(MODELS["opencv4"], SIZE, np.radians(60), {"k1": 0.03})
