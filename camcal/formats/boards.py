@@ -20,6 +20,9 @@ tagSize: 0.088               # side of a tag over its black border, metres
 tagSpacing: 0.3              # the gap between two tags as a share of that
 codeOffset: 0                # optional: the id of the first tag
 
+Basalt's aprilgrid_6x6.json has the same keys without the type. Of OpenCV the settings of its calibration program are
+read, XML or YAML, mm: Calibrate_Pattern, BoardSize_Width, BoardSize_Height, Square_Size, Marker_Size, ArUco_Dict_Name.
+
 An AprilGrid keeps Kalibr's numbers and frame. The points of the others are numbered as all of camcal's grids are, row
 by row; Kalibr's own frame of them has x along the columns of a checkerboard and of a plain circle grid.
 """
@@ -51,19 +54,26 @@ from camcal.targets.board_types import (
 )
 
 KALIBR_KEY = "target_type"
+_TAGS = {KALIBR_KEY, "tagCols"}  # Basalt leaves the type out
+_PATTERNS = {
+    "CHESSBOARD": CHESSBOARD,
+    "CHARUCOBOARD": CHARUCO,
+    "CIRCLES_GRID": CIRCLES,
+    "ASYMMETRIC_CIRCLES_GRID": ASYMMETRIC_CIRCLES,
+}
 
 _LENGTH = number(positive=True)
 _GRID = {KALIBR_KEY: text, "targetCols": integer(2), "targetRows": integer(2)}
 _CHECKS = {
     "aprilgrid": mapping(
-        {KALIBR_KEY: text, "tagCols": integer(1), "tagRows": integer(1), "tagSize": _LENGTH, "tagSpacing": _LENGTH},
-        {"codeOffset": integer(0)},
+        {"tagCols": integer(1), "tagRows": integer(1), "tagSize": _LENGTH, "tagSpacing": _LENGTH},
+        {KALIBR_KEY: text, "codeOffset": integer(0)},
     ),
     "checkerboard": mapping({**_GRID, "rowSpacingMeters": _LENGTH, "colSpacingMeters": _LENGTH}),
     "circlegrid": mapping({**_GRID, "spacingMeters": _LENGTH}, {"asymmetricGrid": flag}),
 }
 
-SUFFIXES = (".yaml", ".yml")
+SUFFIXES = (".yaml", ".yml", ".json", ".xml")
 SPACING = "spacing_ratio"  # of an AprilGrid: the gap between two tags as a share of a tag's side
 
 Data = Mapping[str, Any]
@@ -71,7 +81,7 @@ Data = Mapping[str, Any]
 
 def check_kalibr(data: Any, path: str) -> Iterator[Fault]:
     """Check that plain data is a target of Kalibr's."""
-    kind = data[KALIBR_KEY]
+    kind = data.get(KALIBR_KEY, "aprilgrid")
     if kind not in tuple(_CHECKS):
         yield from one_of(tuple(_CHECKS), "target type")(kind, KALIBR_KEY)
         return
@@ -88,7 +98,7 @@ def check_kalibr(data: Any, path: str) -> Iterator[Fault]:
 
 def board_of_kalibr(data: Mapping[str, Any]) -> Board:
     """Return the board of plain data that has passed `check`."""
-    return _READERS[data[KALIBR_KEY]](data)
+    return _READERS[data.get(KALIBR_KEY, "aprilgrid")](data)
 
 
 def kalibr_text(board: Board) -> str:
@@ -139,12 +149,15 @@ _READERS: Mapping[str, Callable[[Mapping[str, Any]], Board]] = {
 
 
 def read(path: Path) -> Board:
-    """Return the board that a board file or a target file of Kalibr's describes.
+    """Return the board that a board file, a target file of Kalibr's or Basalt's, or settings of OpenCV's describe.
 
     Raises InvalidInput with a line for every fault, FileError if the file cannot be read.
     """
-    data = documents.load(path, _check_file).data
-    return board_of_kalibr(data) if KALIBR_KEY in data else from_block(data)
+    content = files.read_text(path)
+    if "Calibrate_Pattern" in content:
+        return _of_opencv(content, str(path))
+    data = documents.parse(content, str(path), _check_file).data
+    return board_of_kalibr(data) if _TAGS & data.keys() else from_block(data)
 
 
 def write(path: Path, board: Board) -> None:
@@ -163,8 +176,31 @@ def names_file(text: str | Path) -> bool:
 
 
 def _check_file(data: Any, path: str) -> Iterator[Fault]:
-    kalibr = isinstance(data, dict) and KALIBR_KEY in data
+    if isinstance(data, dict) and "nmarkers" in data:
+        yield Fault(path, "is a dictionary of markers of OpenCV's, not a board")
+        return
+    kalibr = isinstance(data, dict) and _TAGS & data.keys()
     yield from check_kalibr(data, path) if kalibr else check(data, path)
+
+
+def _of_opencv(content: str, where: str) -> Board:
+    """Return the board of the settings of OpenCV's calibration program; its lengths are taken for mm."""
+    from camcal.formats.cameras import file_storage  # here, since camera files have boards, too
+    from camcal.formats.cameras.values import Values
+
+    values = Values(file_storage.parse(content, where))
+    values = values.below("Settings") if "Settings" in values else values
+    pattern = values.text("Calibrate_Pattern").strip('"')
+    if pattern not in _PATTERNS:
+        raise values.wrong("Calibrate_Pattern", f"{pattern!r} is not one of {', '.join(_PATTERNS)}")
+    kind = _PATTERNS[pattern]
+    columns, rows = (values.side(f"BoardSize_{side}") for side in ("Width", "Height"))
+    fields: dict[str, Any] = {"square": values.number("Square_Size") * METRES["mm"]}
+    if kind == CHARUCO:
+        dictionary = values.text("ArUco_Dict_Name").strip('"')
+        fields |= {"marker": values.number("Marker_Size") * METRES["mm"], "dictionary": dictionary}
+    border = BOARD_TYPES[kind].border
+    return Board(kind, columns - border, rows - border, **fields)
 
 
 def check(data: Any, path: str) -> Iterator[Fault]:

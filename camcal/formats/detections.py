@@ -1,4 +1,5 @@
-"""Detections files: mrcal's corners.vnl, or a CSV that anyone can write by hand or from another tool.
+"""Detections files: mrcal's corners.vnl, corner lists of other programs (see `corner_lists`), or a CSV that anyone can
+write by hand or from another tool.
 
     # camcal-detections 1 board=charuco:9x7:30mm:22mm:DICT_5X5_100
     # image_circle 640,480,319.5,239.5,228.25
@@ -26,7 +27,7 @@ from camcal import files
 from camcal.arrays import Array
 from camcal.cameras.validity import ImageCircle
 from camcal.errors import InvalidInput, Located
-from camcal.formats import emit, vnl
+from camcal.formats import corner_lists, emit, vnl
 from camcal.formats.boards import short_form
 from camcal.formats.tables import (
     COVARIANCE,
@@ -88,6 +89,8 @@ def read(path: str | Path, board: Board | None = None, image_size: vnl.ImageSize
     path = Path(path)
     if path.suffix.lower() == vnl.SUFFIX:
         return vnl.read(path, board, image_size)
+    if path.suffix.lower() in corner_lists.SUFFIXES:
+        return corner_lists.read(path, board, image_size)
     return read_csv(path, board)
 
 

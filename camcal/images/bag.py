@@ -9,7 +9,6 @@ import re
 import struct
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from functools import lru_cache
 from itertools import islice
 from pathlib import Path
@@ -46,73 +45,52 @@ _ENCODINGS = {  # channels, bytes of one, OpenCV's conversion to blue, green, re
 _FOREIGN = re.compile(rb"foxglove(?:_msgs/msg/|\.)(?:Raw|Compressed)(?:Image|Video)")
 _ENDS = 1 << 20  # bytes at either end of a file in which the names of message types are
 _REPAIRS = {".bag": "rosbag reindex", ".mcap": "mcap recover"}
-
-
-@dataclass(frozen=True, eq=False)
-class _Bag:
-    """An open bag: its topics as rosbags has them, its reader, and what makes a message of bytes and its type."""
-
-    topics: Mapping[str, Any]
-    reader: Any
-    message: Callable[[bytes, str], Any]
-
-    def with_images(self, path: Path) -> list[str]:
-        """Return the topics with images; raises FileError if there are none."""
-        images = [name for name, each in self.topics.items() if each.msgtype in (_IMAGE, _COMPRESSED)]
-        if not images:
-            kinds = ", ".join(sorted({str(each.msgtype) for each in self.topics.values()})) or "it is empty"
-            raise FileError(f"holds no images of ROS ({kinds})", where=str(path))
-        return images
-
-    def messages(self, topic: str, from_ns: int | None = None) -> Iterator[tuple[int, Any]]:
-        """Yield the messages of a topic from a time on, each with the time at which it was recorded, ns."""
-        for connection, recorded_ns, content in self.reader.messages(self.topics[topic].connections, from_ns):
-            yield recorded_ns, self.message(content, connection.msgtype)
+_Messages = Callable[..., Iterator[tuple[int, Any]]]
 
 
 def addressed(path: Path) -> Path:
-    """Return the path of a topic with images: of the only one in a bag, or the one that is addressed.
+    """Return the path of the topic with images that a path stands for; any other path is itself.
 
-    Any other path is itself. Raises InvalidInput for several, with all of them, and for a topic without images;
-    FileError for a bag without any.
+    Raises InvalidInput for a bag with several, with all of them, and as `topics_of` does.
     """
-    if (address := address_of(path)) is None:
-        return path
-    bag, topic = address
-    with _open(bag) as opened:
-        images = opened.with_images(bag)
-        if topic in images or (not topic and len(images) == 1):
-            return Path(f"{bag}#{topic or images[0]}")
-        listed = ", ".join(f"{name} ({_in_words(opened, name, bag)})" for name in images)
-        kind = opened.topics[topic].msgtype if topic in opened.topics else None
-    if topic:
-        what = f"topic {topic} has {kind}" if kind else f"no topic {topic}"
-        raise InvalidInput(f"{what}; with images: {listed}", where=str(bag))
-    example = f"{bag}#{images[0]}"
-    raise InvalidInput(f"holds {len(images)} image topics, {listed}: choose one, such as {example}", where=str(bag))
+    found = [path] if address_of(path) is None else topics_of(path)
+    if len(found) == 1:
+        return found[0]
+    listed = ", ".join(f"{(address_of(each) or '')[1]} ({_in_words(each)})" for each in found)
+    raise InvalidInput(f"holds {len(found)} image topics, {listed}: choose one, such as {found[0]}", where=str(path))
 
 
-def topics(path: Path) -> list[Path]:
-    """Return the paths of all topics with images of a bag; raises FileError."""
-    with _open(path) as opened:
-        return [Path(f"{path}#{name}") for name in opened.with_images(path)]
+def topics_of(path: Path) -> list[Path]:
+    """Return the paths of the topics with images that a bag holds, or of the one that is addressed.
+
+    Raises InvalidInput for a topic without images, with those that have some; FileError for a bag without any.
+    """
+    bag, topic = address_of(path) or (path, "")
+    with _open(bag) as (topics, _):
+        images = [name for name, each in topics.items() if each.msgtype in (_IMAGE, _COMPRESSED)]
+        if not images:
+            kinds = ", ".join(sorted({str(each.msgtype) for each in topics.values()})) or "it is empty"
+            raise FileError(f"holds no images of ROS ({kinds})", where=str(bag))
+        if topic and topic not in images:
+            what = f"topic {topic} has {topics[topic].msgtype}" if topic in topics else f"no topic {topic}"
+            raise InvalidInput(f"{what}; with images: {', '.join(images)}", where=str(bag))
+    return [Path(f"{bag}#{name}") for name in ([topic] if topic else images)]
 
 
-def _in_words(bag: _Bag, topic: str, path: Path) -> str:
+def _in_words(topic: Path) -> str:
     """Return how many images a topic has and of which size."""
-    count = bag.topics[topic].msgcount
     try:
-        size = next((_decoded(message, path).size for _, message in bag.messages(topic)), None)
+        return f"{count(topic)} of {'{}x{}'.format(*next(frames(topic)).size)}"
     except FileError as error:
-        return f"{count}, {error.message}"
-    return f"{count} of {'{}x{}'.format(*size)}" if size else "none"
+        return error.message
 
 
 @contextmanager
-def _open(path: Path) -> Iterator[_Bag]:
-    """Open a bag for reading; what rosbags raises of damaged ones within the block becomes FileError.
+def _open(path: Path) -> Iterator[tuple[Mapping[str, Any], _Messages]]:
+    """Give the topics of a bag, as rosbags has them, and what yields the messages of one from a time on, if there is
+    one, each with the time at which it was recorded, ns.
 
-    Raises InvalidInput if rosbags is not installed.
+    Raises InvalidInput if rosbags is not installed, FileError for what rosbags raises of damaged ones within the block.
     """
     if not path.exists() or not path.stat().st_size:
         raise FileError("is empty" if path.exists() else "no such file", where=str(path))
@@ -130,7 +108,13 @@ def _open(path: Path) -> Iterator[_Bag]:
         with (rosbag1.Reader if is_first else rosbag2.Reader)(local(path)) as reader:
             store = get_typestore(Stores.ROS1_NOETIC if is_first else Stores.LATEST)
             topics = {f"/{name.lstrip('/')}": each for name, each in reader.topics.items()}
-            yield _Bag(topics, reader, store.deserialize_ros1 if is_first else store.deserialize_cdr)
+            decode = store.deserialize_ros1 if is_first else store.deserialize_cdr
+
+            def messages(topic: str, from_ns: int | None = None) -> Iterator[tuple[int, Any]]:
+                for connection, recorded_ns, content in reader.messages(topics[topic].connections, from_ns):
+                    yield recorded_ns, decode(content, connection.msgtype)
+
+            yield topics, messages
     except damage as error:
         raise _unreadable(path, error) from error
 
@@ -143,14 +127,12 @@ _DAMAGE = (  # what else rosbags and what it uses raise of damaged bags
 
 def _unreadable(path: Path, error: Exception) -> FileError:
     """Return the error of a bag that rosbags does not read: of another program's messages, or damaged."""
-    found = None
     with suppress(OSError), local(path).open("rb") as stream:
         start = stream.read(_ENDS)
         stream.seek(max(0, stream.seek(0, 2) - _ENDS))
-        found = _FOREIGN.search(start + stream.read())
-    if found is not None:
-        advice = "record or convert them to sensor_msgs/msg/Image or CompressedImage"
-        return FileError(f"holds {found[0].decode()} messages, which are not read: {advice}", where=str(path))
+        if found := _FOREIGN.search(start + stream.read()):
+            advice = "record or convert them to sensor_msgs/msg/Image or CompressedImage"
+            return FileError(f"holds {found[0].decode()} messages, which are not read: {advice}", where=str(path))
     words = reason(error) if isinstance(error, OSError) else " ".join(str(error).split()).rstrip(".")
     repair = _REPAIRS.get(path.suffix.lower())
     advice = f"; '{repair}' may repair it" if repair else ""
@@ -189,8 +171,8 @@ def _recorded_ns(path: Path, _changed_ns: int) -> tuple[int, ...]:
 def count(path: Path) -> int:
     """Return how many images a topic has."""
     bag, topic = address_of(path) or (path, "")
-    with _open(bag) as opened:
-        return int(opened.topics[topic].msgcount)
+    with _open(bag) as (topics, _):
+        return int(topics[topic].msgcount)
 
 
 def stamps(path: Path) -> Array:
@@ -204,19 +186,19 @@ def stamps(path: Path) -> Array:
 
 def camera_infos(path: Path) -> list[tuple[str, Any]]:
     """Return the topics of a bag that have a sensor_msgs/CameraInfo, with the first of each; raises FileError."""
-    with _open(path) as bag:
-        topics = [name for name, each in bag.topics.items() if each.msgtype == _CAMERA_INFO and each.msgcount]
-        if not topics:
+    with _open(path) as (topics, messages):
+        found = [name for name, each in topics.items() if each.msgtype == _CAMERA_INFO and each.msgcount]
+        if not found:
             raise FileError("holds no sensor_msgs/CameraInfo", where=str(path))
-        return [(name, next(bag.messages(name))[1]) for name in topics]
+        return [(name, next(messages(name))[1]) for name in found]
 
 
 def _messages(path: Path, from_ns: int | None = None) -> Iterator[tuple[int, Any]]:
     bag, topic = address_of(path) or (path, "")
-    with _open(bag) as opened:
-        if topic not in opened.topics or not opened.topics[topic].msgcount:
+    with _open(bag) as (topics, messages):
+        if topic not in topics or not topics[topic].msgcount:
             raise FileError("holds no messages", where=str(path))
-        yield from opened.messages(topic, from_ns)
+        yield from messages(topic, from_ns)
 
 
 def _pattern(message: Any) -> str:

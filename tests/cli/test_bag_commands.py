@@ -140,7 +140,7 @@ def test_a_bag_with_several_topics_asks_for_one(run, pair, tmp_path):
     assert code == 2
     assert f"{LEFT} (7 of 480x360), {RIGHT} (7 of 480x360): choose one, such as {pair}#{LEFT}" in err
     code, _, err = run("calibrate", f"{pair}#/left/imu", *CALIBRATE, "-o", tmp_path / "c.yaml")
-    assert (code, f"no topic /left/imu; with images: {LEFT} (7 of 480x360)" in err) == (2, True)
+    assert (code, f"no topic /left/imu; with images: {LEFT}, {RIGHT}" in err) == (2, True)
 
 
 def test_a_track_has_the_times_of_the_headers(run, bags, poses, tmp_path):

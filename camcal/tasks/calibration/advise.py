@@ -24,7 +24,7 @@ from camcal.run.paths import split_address
 from camcal.targets.board import Board, Surface
 from camcal.targets.detection import BoardDetection
 from camcal.tasks.calibration.advise_options import AdviseOptions
-from camcal.tasks.calibration.board_views import is_table
+from camcal.tasks.calibration.board_views import OWN_SUFFIXES, is_table
 from camcal.tasks.calibration.calibrate import calibrate
 from camcal.tasks.calibration.camera_result import CalibrateReport
 from camcal.tasks.calibration.options import CalibrateOptions
@@ -49,7 +49,7 @@ def advise(options: AdviseOptions, progress: Progress = SILENT) -> AdviseReport:
 
     Detections are calibrated first. Raises InvalidInput, FileError, NotConverged, InsufficientData.
     """
-    if is_table(options.file):
+    if is_table(options.file, OWN_SUFFIXES):
         how = CalibrateOptions((options.file,), board=options.board, model=options.model, image_size=options.image_size)
         known, seen = _of_calibration(calibrate(how, progress))
     else:

@@ -3,7 +3,7 @@
 Screenshots and drawings of a board are told from photographs: no lens has made them, so none can be calibrated.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -12,7 +12,7 @@ import numpy as np
 from camcal import files
 from camcal.arrays import Array
 from camcal.errors import CamcalError, InsufficientData, InvalidInput
-from camcal.formats import boards, detections
+from camcal.formats import boards, corner_lists, detections
 from camcal.messages import Message
 from camcal.options import given_words
 from camcal.progress import Progress, warn_of
@@ -27,7 +27,8 @@ from camcal.tasks.calibration.mixed_sizes import same_size, usual_size
 from camcal.tasks.calibration.options import BEST_FRAMES, CalibrateOptions, DetectOptions, FrameOptions
 from camcal.tasks.calibration.video_frames import FrameRecord, Video
 
-DETECTION_SUFFIXES = (".csv", ".vnl")
+OWN_SUFFIXES = (".csv", ".vnl")
+DETECTION_SUFFIXES = (*OWN_SUFFIXES, *corner_lists.SUFFIXES)
 # Gray levels that most pixels of a board have: 2 of screenshots, 4 if JPEG has blurred them; 12 at least of photographs
 FEW_LEVELS = 5
 _MOST = 0.8
@@ -53,9 +54,12 @@ class BoardViews:
     files: Mapping[str, Path] = field(default_factory=dict)
 
 
-def is_table(text: str) -> bool:
-    """Return whether an input is a detections file, as which standard input ("-") is read too."""
-    return text == files.STANDARD or Path(text).suffix.lower() in DETECTION_SUFFIXES
+def is_table(text: str, suffixes: Sequence[str] = DETECTION_SUFFIXES) -> bool:
+    """Return whether an input is a detections file, as which standard input ("-") is read too.
+
+    suffixes: OWN_SUFFIXES where other files may be camera files.
+    """
+    return text == files.STANDARD or Path(text).suffix.lower() in suffixes
 
 
 def board_views(
@@ -84,14 +88,16 @@ def board_views(
     """
     known = boards.load_board(board) if isinstance(board, str) else board
     tables = [text for text in inputs if is_table(text)]
-    if tables and len(inputs) > 1:
+    if tables and len(inputs) > 1 and not all(Path(text).suffix.lower() == corner_lists.DELTILLE for text in inputs):
         raise InvalidInput("a detections file cannot be combined with other inputs", where=tables[0])
     if tables and reading != AS_IMAGES:
         option = given_words(reading)[0]
         raise InvalidInput(f"{option} applies to images, not to a detections file", where=tables[0])
     if tables:
         path = Path(tables[0])
-        found = detections.read(path, known, image_size or (lambda name: _size_beside(path, name)))
+        sizes = image_size or (lambda name: _size_beside(path, name))
+        found, *others = (detections.read(Path(text), known, sizes) for text in tables)  # of Deltille one an image
+        found = replace(found, views=(*found.views, *(view for each in others for view in each.views)))
         if found.board is None:
             raise InvalidInput("names no board: give --board, such as --board chessboard:9x6:25mm", where=tables[0])
         sized = same_size(found.views, usual_size(found.views), found.board, mixed=mixed_sizes)

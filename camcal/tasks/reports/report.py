@@ -37,7 +37,7 @@ from camcal.report.page.record import (
 from camcal.report.page.thumbnails import pictures
 from camcal.report.rig import DEPTH_COLUMNS, PAIR_COLUMNS, depth_rows, pair_rows
 from camcal.run.outputs import writes
-from camcal.tasks.calibration.board_views import is_table
+from camcal.tasks.calibration.board_views import OWN_SUFFIXES, is_table
 from camcal.tasks.calibration.calibrate import calibrate
 from camcal.tasks.calibration.inspect import (
     Inspection,
@@ -79,7 +79,7 @@ def report(options: ReportOptions, progress: Progress = SILENT) -> Reported:
     """
     if options.output is None:
         raise InvalidInput("a report needs a file: give -o report.html")
-    if not is_table(options.file):
+    if not is_table(options.file, OWN_SUFFIXES):
         return _report_file(options, options.output, progress)
     board, size = options.board, options.image_size
     if _has_several_cameras(options):

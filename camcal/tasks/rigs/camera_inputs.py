@@ -10,7 +10,7 @@ from pathlib import Path, PurePath
 from camcal.errors import InvalidInput
 from camcal.formats.native import NAME
 from camcal.geometry.pose import JOINT
-from camcal.images.bag import topics
+from camcal.images.bag import topics_of
 from camcal.images.videos import address_of, file_of, is_video
 from camcal.messages import counted
 from camcal.run.paths import IMAGE_SUFFIXES, Media, find_media
@@ -58,7 +58,7 @@ def cameras_of(
     if not given:
         raise InvalidInput(f"no images given: {SYNTAX}")
     if len(given) == 1 and address_of(alone := Path(given[0][1])) == (alone, ""):
-        given = [("", str(topic)) for topic in topics(alone)]
+        given = [("", str(topic)) for topic in topics_of(alone)]
     unnamed = [path for name, path in given if not name]
     if unnamed and len(unnamed) < len(given):
         raise InvalidInput(f"some inputs name their camera and this one does not: {SYNTAX}", where=unnamed[0])

@@ -1,0 +1,161 @@
+"""Corner lists of other programs as detections, each known by its content.
+
+MATLAB: imagePoints (N, 2, P) with worldPoints (N, 2), or boardSize (rows, columns of squares), whose corners are
+counted down the columns; the centre of the top-left pixel is 1, 1. Bouguet's toolbox, calib_data.mat: x_1 (2, N) and
+X_1 (3, N), mm, pixels from 0. PhotonVision: the observations of a calibration, m, pixels from 0, negative where there
+is no corner. Deltille, a file for each image: rows board, id, ordered, x, y; its ids are those of a chessboard.
+
+Where points of the board are told they number its corners; which way its rows run is as the images show it.
+Source: detectCheckerboardPoints; saving_calib.m and click_calib.m; BoardObservation.java; DeltilleDetector.cpp.
+"""
+
+import re
+import struct
+import zlib
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from camcal import files
+from camcal.arrays import Array
+from camcal.errors import FileError, InvalidInput, Located
+from camcal.formats.documents import parse_json
+from camcal.formats.tables import far_outside
+from camcal.formats.vnl import ImageSize
+from camcal.targets.board import CHESSBOARD, Board
+from camcal.targets.detection import BoardDetection, Detections
+
+DELTILLE = ".orpc"
+SUFFIXES = (".mat", ".m", ".json", DELTILLE)
+
+_LARGEST = 512 << 20  # bytes; PhotonVision keeps its pictures in the file
+_OFF_GRID, _CLOSE = 0.02, 1e-4  # of a square, and of the whole: numbers that differ by less are one
+
+# points (N, 2) of the board, or numbers (N,) of its corners, and pixels (N, 2), NaN for none, by the names of images
+_Images = dict[str, tuple[Array, Array]]
+# with width and height, and the unit of the points in metres, where they are told
+_Told = tuple[_Images, tuple[Any, Any] | None, float | None]
+
+
+def read(path: Path, board: Board | None, image_size: ImageSize | None = None) -> Detections:
+    """Return the detections in a corner list; board: in the place of the chessboard that its points make up.
+
+    image_size: of images whose size it does not tell. Raises InvalidInput for another board, or if something is missing
+    or no corner list; FileError.
+    """
+    with Located(path):
+        content = files.read_bytes(path, _LARGEST)
+        try:
+            reader = next((reader for sign, reader in _READERS if re.match(sign, content)), None)
+            images, size, metres = reader(content) if reader else ({}, None, None)
+            images = {name: each for name, each in images.items() if np.isfinite(each[1]).any()}
+        except (ValueError, LookupError, TypeError, AttributeError, OverflowError, struct.error, zlib.error) as error:
+            raise FileError("a damaged or truncated corner list") from error
+        if not images:
+            known = "imagePoints of MATLAB, x_1 of Bouguet's calib_data.mat, observations of PhotonVision, .orpc files"
+            raise InvalidInput(f"holds no corners that camcal knows: {known}")
+        if next(iter(images.values()))[0].ndim > 1:
+            board, images = _numbered(images, metres, board)
+        if board is None:
+            raise InvalidInput("names no board: give --board, such as --board chessboard:9x6:25mm")
+        if image_size is None and size is None:
+            raise InvalidInput("tells no size of its images: set --image-size WxH")
+        views = []
+        for name, (ids, pixels) in images.items():
+            width, height = size or (image_size(name) if callable(image_size) else image_size) or (0, 0)
+            order = np.argsort(ids)[np.isfinite(pixels[np.argsort(ids)]).all(axis=1)]
+            view = BoardDetection(name, (int(width), int(height)), ids[order].astype(np.intp), pixels[order])
+            if view.ids.max() >= board.count or far_outside(view.pixels, np.array(view.size)).any():
+                raise InvalidInput(f"{name}: corners beyond the board or the image")
+            views.append(view)
+        return Detections(board, tuple(views))
+
+
+def _numbered(images: _Images, metres: float | None, board: Board | None) -> tuple[Board, _Images]:
+    """Return the board, and the images with the numbers of its corners; raises InvalidInput for another board."""
+    every = np.concatenate([points for points, _ in images.values()])
+    low, reach = every.min(axis=0), float(np.ptp(every, axis=0).max())
+    steps = np.concatenate([np.diff(np.unique(axis)) for axis in every.T])
+    step = reach / max(1.0, np.rint(reach / steps[steps > _CLOSE * reach].min(initial=np.inf)))
+    exact = (every - low) / (step or np.nan)
+    if not np.abs(exact - np.rint(exact)).max() < _OFF_GRID:
+        raise InvalidInput("its points are no grid of squares")
+    cells = {name: np.rint((points - low) / step) for name, (points, _) in images.items()}
+    columns, rows = (1 + int(side) for side in np.rint(exact.max(axis=0)))
+    if sum(_turn(cells[name], pixels) for name, (_, pixels) in images.items()) < 0:  # y upwards
+        cells = {name: np.array([0, rows - 1]) + [1, -1] * each for name, each in cells.items()}
+    if board is not None and board.columns != columns and board.columns == rows:
+        cells = {name: np.array([0, columns - 1]) + [1, -1] * each[:, ::-1] for name, each in cells.items()}
+        columns, rows = rows, columns
+    board = board or Board(CHESSBOARD, columns, rows, None if metres is None else float(f"{step * metres:.6g}"))
+    if not board.has_grid or (board.columns, board.rows) != (columns, rows):
+        raise InvalidInput(f"its points are those of {columns}x{rows} corners, not of a {board.words}")
+    return board, {name: (cells[name] @ [1, columns], pixels) for name, (_, pixels) in images.items()}
+
+
+def _turn(cells: Array, pixels: Array) -> float:
+    """Return 1 if the axes of the board turn as those of the image do, from x to y, -1 if the other way."""
+    seen = np.isfinite(pixels).all(axis=1)
+    terms = np.column_stack([cells[seen], np.ones(np.count_nonzero(seen))])
+    return float(np.sign(np.linalg.det(np.linalg.lstsq(terms, pixels[seen], rcond=None)[0][:2])))
+
+
+def _mat(content: bytes) -> _Told:
+    if content.startswith(b"MATLAB 7.3"):
+        raise InvalidInput("is a MAT-file of version 7.3 (HDF5): save it with save(…, '-v7')")
+    from camcal.formats.cameras import mat  # here, since it loads what reads camera files
+
+    data = mat.variables(content)
+    return _bouguet(data) if "n_ima" in data else _matlab(data)
+
+
+def _matlab(data: Mapping[str, Any]) -> _Told:
+    told = {key: each for inner in data.values() if isinstance(inner, dict) for key, each in inner.items()}
+    told |= data
+    pixels = np.array(told.get("imagePoints", [[[], []]]), float) - 1
+    pixels = pixels.reshape(*pixels.shape[:2], -1)
+    points, metres = told.get("worldPoints") or told.get("WorldPoints"), 1e-3
+    if not points and pixels.size:
+        points = [divmod(number, int(told["boardSize"][0]) - 1) for number in range(len(pixels))]
+    images = {f"image{1 + n:03d}": (np.array(points, float), pixels[..., n]) for n in range(pixels.shape[2])}
+    size = told.get("imageSize") or told.get("ImageSize")
+    return images, size and (size[1], size[0]), metres if told.get("worldPoints") or told.get("WorldPoints") else None
+
+
+def _bouguet(data: Mapping[str, Any]) -> _Told:
+    images = {}
+    for number in range(1, 1 + int(data["n_ima"])):
+        pixels, points = (np.array(data[f"{letter}_{number}"], float) for letter in "xX")
+        if pixels.ndim > 1:
+            images[f"{data['calib_name']}{number}"] = points[:2].T, pixels.T
+    return images, (data["nx"], data["ny"]), 1e-3
+
+
+def _photonvision(content: bytes) -> _Told:
+    data, images = parse_json(content.decode("utf-8-sig")), {}
+    for number, each in enumerate(data["observations"]):
+        points, pixels = (
+            np.array([(at["x"], at["y"]) for at in each[f"locationIn{space}Space"]], float).reshape(-1, 2)
+            for space in ("Object", "Image")
+        )
+        pixels = np.where((pixels < 0).any(axis=1, keepdims=True), np.nan, pixels) + 0 * points
+        images[each.get("snapshotName") or f"image{number:03d}"] = points, pixels
+    return images, (data["resolution"]["width"], data["resolution"]["height"]), 1.0
+
+
+def _deltille(content: bytes) -> _Told:
+    head, _, rows = content.decode("utf-8", "replace").partition("encoding: ascii")
+    told = dict(line.split(": ", 1) for line in head.splitlines())
+    cells = np.array([line.split(",") for line in rows.split()], float).reshape(-1, 5)
+    if len(cells) != int(told["num_corners"]) or (cells[:, 1] < 0).any() or cells[:, 0].any():
+        raise ValueError("another number of corners, or those of several boards")
+    return {told["filename"]: (cells[:, 1], cells[:, 3:])}, (told["width"], told["height"]), None
+
+
+_READERS: tuple[tuple[bytes, Callable[[bytes], _Told]], ...] = (
+    (rb"MATLAB [57]\.\d", _mat),
+    (rb"(?:\xef\xbb\xbf)?\s*\{[\s\S]*\"observations\"", _photonvision),
+    (rb"filename: [^\n]*\nwidth: ", _deltille),
+)
