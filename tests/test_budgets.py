@@ -17,8 +17,8 @@ LINES = {
     "__init__": 37,
     "__main__": 6,
     "arrays": 42,
-    "calibrate": 7729,
-    "cameras": 3626,
+    "calibrate": 7749,
+    "cameras": 3634,
     "cli": 3653,
     "errors": 137,
     "estimate": 8715,
@@ -45,8 +45,8 @@ LINES = {
     "tasks": 23727,
     "urls": 99,
 }
-PARTS = {"modules": 467, "records": 700, "records named in one module": 216, "short functions with one reference": 500}
-PASSED = {"modules": 155, "functions": 1162, "records": 143}  # from a table of detections to a camera file
+PARTS = {"modules": 467, "records": 701, "records named in one module": 217, "short functions with one reference": 500}
+PASSED = {"modules": 155, "functions": 1165, "records": 144}  # from a table of detections to a camera file
 SHORT = 5  # lines of a function's body, which could as well stand where it is called
 
 
