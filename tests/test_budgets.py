@@ -17,13 +17,13 @@ LINES = {
     "__init__": 37,
     "__main__": 6,
     "arrays": 42,
-    "calibrate": 7749,
-    "cameras": 3634,
+    "calibrate": 8004,
+    "cameras": 3900,
     "cli": 3653,
     "errors": 137,
     "estimate": 8715,
     "files": 398,
-    "formats": 13059,
+    "formats": 13060,
     "geometry": 963,
     "images": 2175,
     "messages": 228,
@@ -42,11 +42,11 @@ LINES = {
     "stereo": 5116,
     "system": 281,
     "targets": 7063,
-    "tasks": 23727,
+    "tasks": 23731,
     "urls": 99,
 }
-PARTS = {"modules": 467, "records": 701, "records named in one module": 217, "short functions with one reference": 500}
-PASSED = {"modules": 155, "functions": 1165, "records": 144}  # from a table of detections to a camera file
+PARTS = {"modules": 469, "records": 702, "records named in one module": 216, "short functions with one reference": 500}
+PASSED = {"modules": 157, "functions": 1167, "records": 143}  # from a table of detections to a camera file
 SHORT = 5  # lines of a function's body, which could as well stand where it is called
 
 

@@ -30,6 +30,7 @@ from camcal.cameras.lens import CameraModel
 from camcal.cameras.model import Camera
 from camcal.cameras.observations import Observations
 from camcal.cameras.refit import fit_lens
+from camcal.cameras.spline_modes import ReducedSpline
 from camcal.errors import InsufficientData
 from camcal.solve.descent import Stopping
 from camcal.solve.least_squares import minimise
@@ -93,6 +94,21 @@ class CalibrationFit:
     @property
     def problem(self) -> BoardProblem:
         return self.plain.problem
+
+    @property
+    def first(self) -> tuple[Estimate, Array]:
+        """What `fit_briefly` and `fit_plain` return."""
+        return self.plain, self.turns
+
+    def camera(self, size: tuple[int, int], covariance: Array) -> Camera:
+        """Return the camera of images (width, height) with a covariance (D, D) of the parameters that views share."""
+        model, free, parameters = self.problem.model, self.problem.free, self.state.parameters
+        full = np.zeros((len(parameters), len(parameters)))
+        full[np.ix_(free, free)] = covariance[: len(free), : len(free)]
+        if isinstance(model, ReducedSpline):
+            return model.camera(size, parameters, full)
+        fixed = tuple(name for index, name in enumerate(model.parameter_names) if index not in free)
+        return Camera(model, size, parameters, full, fixed)
 
 
 def fit(plain: Estimate, turns: Array, image_size: tuple[int, int]) -> CalibrationFit:

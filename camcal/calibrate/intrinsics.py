@@ -28,11 +28,13 @@ from camcal.calibrate.refusals import (
 )
 from camcal.calibrate.several_cameras import TwoCameras, two_cameras
 from camcal.calibrate.shape import focal_correlations, surface_of
+from camcal.calibrate.spline import fit_spline_briefly
 from camcal.calibrate.view_records import RejectedCorner, View, rejected_corners, view_records
 from camcal.cameras.catalogue import MODELS
 from camcal.cameras.lens import CameraModel
 from camcal.cameras.model import Camera
 from camcal.cameras.observations import Observations
+from camcal.cameras.spline import SplinedStereographic
 from camcal.errors import InsufficientData, InvalidInput, NotConverged
 from camcal.records import Brief
 from camcal.solve.steps import SingularError
@@ -177,7 +179,7 @@ def solve(
         if start is None:
             brief, turns = _fit_briefly(Observations.of(usable), board, size, options)
         else:
-            brief, turns = start.plain, start.turns
+            brief, turns = start.first
         images = [view.image for view in usable]
         if (found := _misfit(brief, options)).roughness > ROUGH:  # no lens and no further pass makes that board fit
             require_fit(found, images, options.max_rejected, options.model.name)
@@ -226,7 +228,7 @@ def compare_models(
     plausible = start
     for own in (replace(options, model=model) for model in models):
         try:
-            brief, turns = _fit_briefly(observations, board, size, own, plausible)
+            brief, turns = _fit_briefly(observations, board, size, own, plausible.first if plausible else None)
             left_out = influence(brief)
             scores, sigma = predict_views(brief, left_out)
             fit = averaged_fit((brief,), WithinViews(1.0), turns, size, [left_out])
@@ -256,14 +258,23 @@ def _fit_briefly(
     board: Board,
     size: tuple[int, int],
     options: Options,
-    other: CalibrationFit | None = None,
+    other: tuple[Estimate, Array] | None = None,
 ) -> tuple[Estimate, Array]:
-    """Return what `fit_briefly` makes of the observations under the options; other: a brief fit with another lens
-    model, to go on from.
+    """Return what `fit_briefly` makes of the observations under the options; other: that of another lens model, for one
+    that goes on from it.
     """
+    if isinstance(options.model, SplinedStereographic):
+        if options.fixed:
+            raise InvalidInput(f"--fix: the parameters of {options.model.name} are not held one by one; leave it out")
+        return fit_spline_briefly(
+            options.model,
+            size,
+            lambda base, start: _fit_briefly(observations, board, size, replace(options, model=base), start),
+            other,
+        )
     held, guess = _held(options, size)
     if other is not None and guess is None:
-        found = fit_like(other.plain, other.turns, options.model, size, held)
+        found = fit_like(*other, options.model, size, held)
         if found is not None:
             return found
     return fit_briefly(options.model, board, observations, size, held=held, guess=guess, shape=options.shape)
@@ -296,6 +307,8 @@ def _at_limits(options: Options, parameters: Array, size: tuple[int, int]) -> Op
     """Return the options with every parameter (K,) that an estimate has beyond its limits held there, None if none is:
     the best lens of the model is at its limit then, and beyond it a camera file could not be read.
     """
+    if isinstance(options.model, SplinedStereographic):
+        return None
     names, limits = options.model.parameter_names, options.model.limits
     low, high = np.array([limits[name] for name in names]).T
     within = np.clip(parameters, low, high)
@@ -346,8 +359,8 @@ def record(solved: Solved, pose_covariances: Array, between: BetweenViews) -> Ca
     kept = _kept(problem, residuals)
     medians = row_medians(np.nan_to_num(np.hypot(*residuals), nan=np.inf), problem.observations.present)
     covariance = result.covariance
-    camera = _camera(result, size, covariance)
-    noise_covariance = _camera(result, size, result.noise_covariance).covariance
+    camera = result.camera(size, covariance)
+    noise_covariance = result.camera(size, result.noise_covariance).covariance
     for focal, std in zip(*camera.focal_lengths(), strict=True):
         require_focal(float(focal), float(std))
     views = view_records(
@@ -385,12 +398,3 @@ def _pose_covariances(result: CalibrationFit) -> Array:
     """Return the covariances (V, 6, 6) of the poses: weighted means over the estimates, each under the lens's own."""
     own = [estimate.factors.group_covariances(POSE, result.covariance) for estimate in result.estimates]
     return np.asarray(np.tensordot(result.weights, np.stack(own), axes=1))
-
-
-def _camera(result: CalibrationFit, size: tuple[int, int], covariance: Array) -> Camera:
-    problem = result.problem
-    names, free = problem.model.parameter_names, problem.free
-    full = np.zeros((len(names), len(names)))
-    full[np.ix_(free, free)] = covariance[: len(free), : len(free)]
-    fixed = tuple(name for index, name in enumerate(names) if index not in free)
-    return Camera(problem.model, size, result.state.parameters, full, fixed)

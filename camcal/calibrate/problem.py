@@ -13,6 +13,7 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.cameras.lens import CameraModel
 from camcal.cameras.observations import Observations, by_pose, linearised, residuals, rotated_points, whitened
+from camcal.cameras.spline_modes import ReducedSpline
 from camcal.geometry.pose import retract
 from camcal.solve.least_squares import assemble
 from camcal.solve.losses import Loss
@@ -275,7 +276,7 @@ class BoardProblem:
 
     def held_by_prior(self, stds: Array) -> tuple[str, ...]:
         """Return the lens parameters that their priors hold; stds: (S,) of the shared parameters as solved for."""
-        if self.lens_spread is None:
+        if self.lens_spread is None or isinstance(self.model, ReducedSpline):
             return ()
         held = stds[: len(self.free)] > _HELD_BY_PRIOR * self.lens_spread[self.free]
         return tuple(np.array(self.shared_names[: len(self.free)])[held].tolist())

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
@@ -110,9 +110,9 @@ class CameraModel(Protocol):
     def limits(self) -> Mapping[str, tuple[float, float]]: ...
 
     @property
-    def configuration(self) -> Mapping[str, Any]: ...
+    def configuration(self) -> Mapping[str, object]: ...
 
-    def configured(self, configuration: Mapping[str, Any]) -> "CameraModel": ...
+    def configured(self, configuration: Mapping[str, object]) -> "CameraModel": ...
     def project(self, parameters: Array, points: Array) -> Projection: ...
     def project_with_jacobians(
         self, parameters: Array, points: Array, *, within_domain: bool = True

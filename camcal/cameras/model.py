@@ -41,10 +41,13 @@ class Camera(Brief):
 
     def __repr__(self) -> str:
         """Return the lens model, the size and the parameters."""
-        values = ", ".join(
-            f"{name}={value:.7g}" for name, value in zip(self.model.parameter_names, self.parameters, strict=True)
-        )
+        values = ", ".join(f"{name}={self.value(name):.7g}" for name in self.listed)
         return f"Camera({self.model.name}, {self.image_size[0]}x{self.image_size[1]} px, {values})"
+
+    @property
+    def listed(self) -> tuple[str, ...]:
+        """The names of the parameters that mean something by themselves: not those of the knots of a spline."""
+        return self.model.parameter_names[:4] if self.model.configuration else self.model.parameter_names
 
     @classmethod
     def from_opencv(

@@ -10,7 +10,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar, NamedTuple, Self
+from typing import ClassVar, NamedTuple, Self
 
 import numpy as np
 
@@ -101,11 +101,11 @@ class PlaneModel(ABC):
         return math.inf
 
     @property
-    def configuration(self) -> Mapping[str, Any]:
+    def configuration(self) -> Mapping[str, object]:
         """What a model is besides its name, empty for most."""
         return {}
 
-    def configured(self, configuration: Mapping[str, Any]) -> Self:
+    def configured(self, configuration: Mapping[str, object]) -> Self:
         """Return the model of its kind with another configuration; raises InvalidInput where there is no such."""
         if configuration:
             raise InvalidInput(f"model {self.name!r} has no configuration; leave it out")

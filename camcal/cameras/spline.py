@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from itertools import product
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
@@ -260,12 +260,12 @@ class SplinedStereographic(Stereographic):
         return CORE + tuple(Parameter(name, growth=0) for name in names)
 
     @property
-    def configuration(self) -> Mapping[str, Any]:
+    def configuration(self) -> Mapping[str, object]:
         """What the knots are."""
         degree = {} if self.degree == CUBIC else {"degree": self.degree}
         return {"knots": list(self.knots), "fov_x_deg": self.fov_x_deg, **degree}
 
-    def configured(self, configuration: Mapping[str, Any]) -> "SplinedStereographic":
+    def configured(self, configuration: Mapping[str, object]) -> "SplinedStereographic":
         """Return the model with other knots; raises InvalidInput where they are none."""
         known = {**self.configuration, "degree": self.degree}
         for key in configuration:
@@ -273,14 +273,14 @@ class SplinedStereographic(Stereographic):
                 raise InvalidInput(f"unknown key {key!r}{did_you_mean(key, list(known))}")
         own = {**known, **configuration}
         knots, fov_x_deg, degree = own["knots"], own["fov_x_deg"], own["degree"]
-        if degree not in {QUADRATIC, CUBIC}:
+        if not isinstance(degree, int) or degree not in {QUADRATIC, CUBIC}:
             raise InvalidInput(f"degree {degree!r}: a spline has degree {QUADRATIC} or {CUBIC}")
-        whole = isinstance(knots, list | tuple) and len(knots) == 2 and all(type(count) is int for count in knots)
-        if not whole or not all(degree < count <= _MOST_KNOTS for count in knots):
+        counts = list(knots) if isinstance(knots, list | tuple) else []
+        if len(counts) != 2 or not all(type(count) is int and degree < count <= _MOST_KNOTS for count in counts):
             raise InvalidInput(f"knots {knots!r}: write [columns, rows] from {degree + 1} to {_MOST_KNOTS}")
-        if type(fov_x_deg) not in {int, float} or not 0 < fov_x_deg <= _LARGEST_FOV_DEG:
+        if not isinstance(fov_x_deg, int | float) or not 0 < fov_x_deg <= _LARGEST_FOV_DEG:
             raise InvalidInput(f"fov_x_deg {fov_x_deg!r}: write a number up to {_LARGEST_FOV_DEG:g}")
-        found = SplinedStereographic(knots=(knots[0], knots[1]), fov_x_deg=float(fov_x_deg), degree=degree)
+        found = SplinedStereographic(knots=(counts[0], counts[1]), fov_x_deg=float(fov_x_deg), degree=degree)
         return self if found == self else found
 
     def correction(self, parameters: Array) -> Correction:

@@ -26,7 +26,7 @@ _SHOWN = 2.0  # standard deviations: less of a board's shape is not worth a line
 def parameter_rows(calibration: Calibration) -> list[tuple[str, str, str]]:
     """Return name, value and standard deviation of the lens parameters as text."""
     camera = calibration.camera
-    rows = [(name, *value_and_std(camera.value(name), camera.std(name))) for name in camera.model.parameter_names]
+    rows = [(name, *value_and_std(camera.value(name), camera.std(name))) for name in camera.listed]
     return [(name, value, "fixed" if name in camera.fixed else std) for name, value, std in rows]
 
 

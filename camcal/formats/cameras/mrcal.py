@@ -15,6 +15,7 @@ import numpy as np
 from camcal import files
 from camcal.cameras.catalogue import model_of
 from camcal.cameras.model import Camera
+from camcal.cameras.spline import SplinedStereographic
 from camcal.errors import FileError, InvalidInput
 from camcal.formats.camera_file import CameraEntry, CameraFile, Transform, ValidRegion, pose_between
 from camcal.formats.cameras.lenses import Lenses, Size
@@ -88,13 +89,13 @@ def _word(camera: Camera, word: str, where: str) -> str:
     """Return mrcal's name of a camera's lens model, that of a spline with its knots; raises FileError for a spline that
     mrcal cannot have.
     """
-    own = camera.model.configuration
-    if not own:
+    own = camera.model
+    if not isinstance(own, SplinedStereographic):
         return word
-    if own["fov_x_deg"] != round(own["fov_x_deg"]):
-        text = f"mrcal's splines have a whole number of degrees as fov_x_deg, not {own['fov_x_deg']:g}"
+    if own.fov_x_deg != round(own.fov_x_deg):
+        text = f"mrcal's splines have a whole number of degrees as fov_x_deg, not {own.fov_x_deg:g}"
         raise FileError(text, where=where)
-    return word + _SPLINE.format(own.get("degree", 3), *own["knots"], round(own["fov_x_deg"]))
+    return word + _SPLINE.format(own.degree, *own.knots, round(own.fov_x_deg))
 
 
 def _values(source: Source) -> Values:

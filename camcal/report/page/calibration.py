@@ -215,7 +215,7 @@ def _parameters(own: CalibratedCamera, shown: Sequence[Picture]) -> Section:
         for name, value, std in parameter_rows(calibration)
     ]
     tables = [Table.of(f"Lens parameters{own.owner}", ("parameter", "value", "± std", "unit"), rows)]
-    names = [name for name in camera.model.parameter_names if camera.std(name)]
+    names = [name for name in camera.listed if camera.std(name)]
     if camera.covariance is not None and len(names) > 1:
         tables.append(_strongest(own, names))
     lines = [f"Lens model {camera.model.name}."]

@@ -109,7 +109,7 @@ def _parts(value: Any) -> dict[str, Any]:
 def parameter_rows(camera: Camera) -> list[list[str]]:
     """Return name, value and standard deviation of every parameter as text."""
     rows = []
-    for name in camera.model.parameter_names:
+    for name in camera.listed:
         value, std = value_and_std(camera.value(name), camera.std(name))
         rows.append([name, value, "fixed" if name in camera.fixed else std])
     return rows

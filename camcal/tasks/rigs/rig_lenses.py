@@ -262,6 +262,10 @@ def _asked(texts: Sequence[str], names: Sequence[str]) -> dict[str, str]:
         else:
             _require_camera(name, names, f"--model {text}")
             found[name] = model_named(model).name
+        if model_named(model or text).configuration:
+            raise InvalidInput(
+                f"--model {text}: a spline is calibrated by camcal calibrate, and taken over by --lenses fixed"
+            )
     return found
 
 
