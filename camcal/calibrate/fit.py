@@ -29,6 +29,7 @@ from camcal.cameras.directions import direction_displacements, in_hull
 from camcal.cameras.lens import CameraModel
 from camcal.cameras.model import Camera
 from camcal.cameras.observations import Observations
+from camcal.cameras.plane_model import PlaneModel
 from camcal.cameras.refit import fit_lens
 from camcal.cameras.spline_modes import ReducedSpline
 from camcal.errors import InsufficientData
@@ -285,8 +286,9 @@ def _robust(
     Two sets of parameters may describe a lens nearly alike, and no step leads from one to the other.
     """
     found = _settled(problem, image_size, held, guess)
-    names = problem.model.parameter_names
-    other = np.array([problem.model.other_start.get(name, np.nan) for name in names])
+    model = problem.model
+    starts = model.other_start if isinstance(model, PlaneModel) else {}
+    other = np.array([starts.get(name, np.nan) for name in model.parameter_names])
     if guess is not None or not (np.isnan(held) & ~np.isnan(other)).any():
         return found
     try:
