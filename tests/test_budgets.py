@@ -17,8 +17,8 @@ LINES = {
     "__init__": 37,
     "__main__": 6,
     "arrays": 42,
-    "calibrate": 8598,
-    "cameras": 3900,
+    "calibrate": 8620,
+    "cameras": 3939,
     "cli": 3688,
     "errors": 137,
     "estimate": 8715,
@@ -45,8 +45,8 @@ LINES = {
     "tasks": 24207,
     "urls": 99,
 }
-PARTS = {"modules": 477, "records": 712, "records named in one module": 217, "short functions with one reference": 508}
-PASSED = {"modules": 157, "functions": 1167, "records": 143}  # from a table of detections to a camera file
+PARTS = {"modules": 477, "records": 713, "records named in one module": 218, "short functions with one reference": 508}
+PASSED = {"modules": 157, "functions": 1170, "records": 144}  # from a table of detections to a camera file
 SHORT = 5  # lines of a function's body, which could as well stand where it is called
 
 
