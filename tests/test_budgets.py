@@ -23,7 +23,7 @@ LINES = {
     "errors": 137,
     "estimate": 8715,
     "files": 398,
-    "formats": 13205,
+    "formats": 13213,
     "geometry": 963,
     "images": 2180,
     "messages": 232,
