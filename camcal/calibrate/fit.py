@@ -29,6 +29,7 @@ from camcal.cameras.directions import direction_displacements, in_hull
 from camcal.cameras.lens import CameraModel
 from camcal.cameras.model import Camera
 from camcal.cameras.observations import Observations
+from camcal.cameras.plane_model import PlaneModel
 from camcal.cameras.refit import fit_lens
 from camcal.cameras.spline_modes import ReducedSpline
 from camcal.errors import InsufficientData
@@ -48,6 +49,7 @@ _ROUNDS = 8
 _MAPPED = 200  # corners at which one lens is fitted to another
 _GRID = (20, 15)  # of pixels at which lenses are compared
 _LOSS = Cauchy(3.0)
+_CLEARLY = 0.995  # of σ: where two sets of parameters fit alike, as those of narrow lenses do, the usual one is taken
 
 
 # What the errors within views may be taken for, besides noise: anything smooth, or named causes as well.
@@ -277,6 +279,26 @@ def _sigma(problem: BoardProblem, state: State) -> float:
 
 
 def _robust(
+    problem: BoardProblem, image_size: tuple[int, int], held: Array, guess: Array | None
+) -> tuple[BoardProblem, State]:
+    """Return problem and state after robust solves from each start of the lens model, those that fit best.
+
+    Two sets of parameters may describe a lens nearly alike, and no step leads from one to the other.
+    """
+    found = _settled(problem, image_size, held, guess)
+    model = problem.model
+    starts = model.other_start if isinstance(model, PlaneModel) else {}
+    other = np.array([starts.get(name, np.nan) for name in model.parameter_names])
+    if guess is not None or not (np.isnan(held) & ~np.isnan(other)).any():
+        return found
+    try:
+        second = _settled(problem, image_size, np.where(np.isnan(held), other, held), None)
+    except InsufficientData:  # only of a start that is not needed
+        return found
+    return second if second[0].sigma < _CLEARLY * found[0].sigma else found
+
+
+def _settled(
     problem: BoardProblem, image_size: tuple[int, int], held: Array, guess: Array | None
 ) -> tuple[BoardProblem, State]:
     """Return problem and state after robust solves at a falling σ, the stiffest lens parameters first.

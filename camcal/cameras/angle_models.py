@@ -1,7 +1,9 @@
-"""Lenses by a polynomial of every power: ftheta, radius of the angle; ftheta_inverse, angle of the radius; ocam.
+"""Lenses by a polynomial of every power: ftheta, radius of the angle; ftheta_inverse, angle of the radius; ptlens,
+radius of a pinhole's radius; ocam, depth of the radius.
 
 Sources: Scaramuzza, Martinelli & Siegwart, A flexible technique for accurate omnidirectional camera calibration, ICVS
-2006 (ocam); NVIDIA DriveWorks, rig file format (ftheta, polynomials in both directions).
+2006 (ocam); NVIDIA DriveWorks, rig file format (ftheta, polynomials in both directions); lensfun's manual,
+lens distortion models (ptlens).
 """
 
 import math
@@ -16,7 +18,7 @@ from camcal.arrays import Array
 from camcal.cameras.axial_plane import AxialPlane
 from camcal.cameras.distortion import first_root
 from camcal.cameras.lens import Parameter
-from camcal.cameras.plane_model import Values, find_increasing
+from camcal.cameras.plane_model import FAR, Values, find_increasing
 from camcal.records import Brief
 
 _TABLE = 257  # places of a function whose inverse is begun from its table
@@ -128,6 +130,36 @@ class FthetaInverse(Brief, AnglePlane):
 
 
 @dataclass(frozen=True)
+class Ptlens(Brief, AnglePlane):
+    """r = t + a2 t² + a3 t³ + a4 t⁴ with t = tan θ, the radius of a pinhole's plane."""
+
+    plane_parameters: ClassVar[tuple[Parameter, ...]] = _powers({3: -0.02, 4: 0.002})[:3]
+    prior_reach: ClassVar[float] = 1.0
+
+    def is_pinhole(self, parameters: Array) -> bool:
+        """Return whether no term moves a point."""
+        return not np.any(parameters[4:])
+
+    def _radius(self, theta: Array, plane: Values) -> Array:
+        return _polynomial(np.tan(theta), plane)[0]
+
+    def _slopes(self, theta: Array, radius: Array, plane: Values) -> tuple[Array, ...]:  # noqa: ARG002
+        tangent = np.tan(theta)
+        along = _polynomial(tangent, plane)[1] * (1.0 + tangent * tangent)
+        return along, *(tangent**power for power in (2, 3, 4))
+
+    def _edge(self, plane: Values) -> tuple[float, float]:
+        end = min(first_root(np.array([1.0, *(power * own for power, own in enumerate(plane, 2))])), FAR)
+        return math.atan(end), float(_polynomial(np.array([end]), plane)[0][0])
+
+    def _lift(self, x: Array, y: Array, plane: Values) -> Array:
+        radius = np.sqrt(x * x + y * y)
+        tangent = _inverse(lambda place: _polynomial(place, plane), radius, math.tan(self._edge(plane)[0]))
+        scale = np.divide(tangent, radius, out=np.ones_like(radius), where=radius > 0)
+        return np.asarray(np.stack([x * scale, y * scale, np.ones_like(x)]) / np.sqrt(1.0 + tangent * tangent))
+
+
+@dataclass(frozen=True)
 class Ocam(Brief, AnglePlane):
     """The ray through a place is (x, y, P) with P = 1 + a2 r² + a3 r³ + a4 r⁴; then u = fx (x + shear_x y) + cx and v
     = fy (y + shear_y x) + cy. A turn of the sensor is a turn of the camera: the weak priors of the shears share it out.
@@ -196,5 +228,6 @@ SHEAR = (Parameter("shear_x", "shear", spread=0.01), Parameter("shear_y", "shear
 MODELS = (
     Ftheta("ftheta", (), "fisheye: the radius is a polynomial of the angle"),
     FthetaInverse("ftheta_inverse", (), "fisheye: the angle is a polynomial of the radius"),
+    Ptlens("ptlens", (), "PTLens and lensfun: three powers of the radius"),
     Ocam("ocam", SHEAR, "Scaramuzza's: the ray's depth is a polynomial of the radius", ("scaramuzza",)),
 )

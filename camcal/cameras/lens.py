@@ -141,6 +141,7 @@ class Parameter:
     growth: int | None = None
     spread: float = math.inf
     mean: float = 0.0
+    other: float | None = None
     typical: float = 0.0
     limits: tuple[float, float] = (-LARGEST, LARGEST)
     stage: int = LAST

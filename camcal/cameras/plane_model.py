@@ -134,6 +134,11 @@ class PlaneModel(ABC):
         return staged({own.name: own.colour_stage for own in self.parameters})
 
     @cached_property
+    def other_start(self) -> Mapping[str, float]:
+        """The parameters that estimates start from a second value of, and that value."""
+        return {own.name: own.other for own in self.parameters if own.other is not None}
+
+    @cached_property
     def typical(self) -> Mapping[str, float]:
         """The parameters that are not zero in an ordinary lens, for simulations."""
         return {own.name: own.typical for own in self.parameters if own.typical}

@@ -20,7 +20,7 @@ from camcal.records import Brief
 
 ALPHA = Parameter("alpha", spread=0.5, mean=0.5, typical=0.55, limits=(0.0, 1.0), stage=1)
 BETA = Parameter("beta", spread=1.0, mean=1.0, typical=1.1, limits=(1e-6, 1e6), stage=2)
-XI = Parameter("xi", spread=0.5, mean=-0.2, typical=-0.25, limits=(-1.0, 1.0))
+XI = Parameter("xi", spread=0.5, mean=-0.2, other=0.3, typical=-0.25, limits=(-1.0, 1.0))
 MIRROR = Parameter("xi", spread=1.0, mean=1.0, typical=1.1, limits=(0.0, 1e6), stage=2)
 COEFFICIENTS = (
     Parameter("k1", "numerator", growth=2, typical=-0.05, stage=2, colour_stage=2),

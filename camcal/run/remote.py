@@ -78,10 +78,10 @@ class RemoteFiles:
         return self.root / protocol / (f"{_SLASH}{rest}" if rest.startswith("/") else rest)
 
     def _list(self, url: str, path: Path) -> None:
-        """Note what is beside a URL and below it; of a pattern, what is below the folders before it."""
+        """Note what is beside a URL and below it; of a pattern, below the folders before it, of a topic by its bag."""
         system, place = _file_system(url)
         system.invalidate_cache()
-        while glob.has_magic(place):
+        while glob.has_magic(place) or "#/" in place:
             place, path, url = place.rpartition("/")[0], path.parent, url.rpartition("/")[0]
         parent = place.rpartition("/")[0]
         if parent.strip("/"):

@@ -14,7 +14,7 @@ SIZE, NOISE = (1280, 960), 0.15
 BOARD = Board("chessboard", 9, 6, 0.040)
 RIGID = ShapeOptions(smooth=False)
 NARROW, WIDE = 60, 190
-LESS_THAN_180 = {"fov": 150, "division": 150, "orthographic": 150}
+LESS_THAN_180 = {"fov": 150, "division": 150, "orthographic": 150, "ptlens": 120}
 NEW = [name for name, model in MODELS.items() if not model.is_view and not model.opencv and name != "kannala_brandt5t"]
 NEW.remove("splined_stereographic")  # its calibration is not one from an ordinary start
 
@@ -44,6 +44,13 @@ def test_a_lens_is_found_without_a_hint_as_well_as_from_the_truth(name, fov):
     errors = (ordinary.camera.parameters - truth.parameters)[known]
     assert np.abs(errors / np.sqrt(ordinary.camera.covariance.diagonal()[known])).max() < 4.5
     assert (ordinary.camera.projection_std(np.array([[640.0, 480.0], [900.0, 700.0]])) < 0.5).all()
+
+
+@pytest.mark.parametrize("xi", [-0.3, 0.3])
+def test_both_kinds_of_double_spheres_are_found(xi):
+    truth = make_camera(MODELS["double_sphere"], SIZE, np.radians(WIDE), {"xi": xi, "alpha": 0.55})
+    found = calibrate(seen_by(truth), BOARD, Options(MODELS["double_sphere"], shape=RIGID)).camera
+    assert abs(found.value("xi") - xi) < 4 * found.std("xi")
 
 
 @pytest.mark.parametrize("name", ["ucm", "eucm"])

@@ -55,12 +55,27 @@ def test_ocam_is_inverted_over_its_whole_domain(a2, a3, a4, shear):
     assert round_trip_error(camera("ocam", a2, a3, a4, *shear), 1e-3) < 1e-9
 
 
+def test_the_radius_of_ptlens_is_a_polynomial_of_that_of_a_pinhole():
+    tangent = np.linspace(0, 1.5, 30)
+    points = np.column_stack([np.zeros(30), tangent, np.ones(30)])
+    found = camera("ptlens", *TERMS[:3]).project(2 * points).pixels[:, 1]
+    expected = tangent + 0.03 * tangent**2 - 0.05 * tangent**3 + 0.01 * tangent**4
+    np.testing.assert_allclose(found, 505 * expected + 241.25, atol=1e-9)
+
+
+@given(terms=st.tuples(small, small, small))
+def test_ptlens_is_inverted_over_its_whole_domain(terms):
+    assert round_trip_error(camera("ptlens", *terms), 1e-3) < 1e-9
+
+
 def test_they_end_where_they_fold():
     own = camera("ftheta", -0.25)  # dr/dθ = 1 - θ/2
     assert own.model.domain(own.parameters).max_theta == pytest.approx(2.0)
     own = camera("ftheta_inverse", -0.25)  # θ = 1 at r = 2
     assert own.model.domain(own.parameters).max_theta == pytest.approx(1.0)
     assert camera("ftheta_inverse").model.domain(camera("ftheta_inverse").parameters).max_theta == np.pi
+    own = camera("ptlens", -0.25)  # dr/dt = 1 - t/2
+    assert own.model.domain(own.parameters).max_theta == pytest.approx(np.arctan(2.0))
     own = camera("ocam", 0.25)  # the ray (r, 1 + r²/4) comes back from r = 2 on
     assert own.model.domain(own.parameters).max_theta == pytest.approx(np.pi / 4)
 

@@ -118,6 +118,13 @@ def test_camera_info_of_a_bag_is_a_camera_file(run, bags, tmp_path):
         assert (code, "no camera 'other'" in err) == (2, True)
 
 
+def test_a_topic_of_a_bag_at_a_url_is_read(run, bags, tmp_path):
+    url = bags["bag"].as_uri()
+    assert run("detect", f"{url}#{LEFT}", *CALIBRATE[:2], "-o", tmp_path / "d.csv")[0] == 0
+    code, out, _ = run("inspect", f"{url}#{INFO}")
+    assert (code, out.startswith("left: ")) == (0, True)
+
+
 def test_topics_of_a_bag_are_the_cameras_of_a_rig(run, pair, tmp_path):
     given = ("-b", "chessboard:8x5:30mm", "--all-frames", "--jobs", 1)
     assert run("rig", f"{pair}#{LEFT}", f"{pair}#{RIGHT}", *given, "-o", tmp_path / "topics.yaml")[0] == 0

@@ -76,6 +76,13 @@ def test_a_lens_is_read_as_it_was_written(tmp_path, name, row):
         assert path.read_bytes() == first
 
 
+@pytest.mark.parametrize("form", [form for form in FORMATS.values() if form.lenses], ids=lambda form: form.name)
+def test_a_declared_lens_has_parameters_of_its_model_only(form):
+    for row in form.lenses.rows:
+        if row.model in MODELS and row.model != "splined_stereographic":  # whose file has its knots in rows
+            assert {own.name for own in row.keys} <= {*MODELS[row.model].parameter_names, "f", "fx-fy", "0"}, row
+
+
 @pytest.mark.skipif(not GOLDEN.is_file(), reason="the golden vectors of the reference are not here")
 def test_golden_vectors_pass_through_every_family_that_has_the_lens(tmp_path):
     tried = 0

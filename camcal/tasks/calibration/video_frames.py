@@ -52,10 +52,10 @@ class Frame(NamedTuple):
     name: str
     image: Image
     before: PixelArray | None
-    levels: Array | None = None
+    levels: PixelArray | None = None
 
     @property
-    def measured(self) -> Array:
+    def measured(self) -> PixelArray:
         """The gray levels (H, W) by which corners are measured."""
         return self.image.pixels if self.levels is None else self.levels
 
