@@ -17,8 +17,8 @@ LINES = {
     "__init__": 37,
     "__main__": 6,
     "arrays": 42,
-    "calibrate": 8026,
-    "cameras": 3941,
+    "calibrate": 8028,
+    "cameras": 3947,
     "cli": 3653,
     "errors": 137,
     "estimate": 8715,
@@ -46,7 +46,7 @@ LINES = {
     "urls": 99,
 }
 PARTS = {"modules": 469, "records": 703, "records named in one module": 216, "short functions with one reference": 499}
-PASSED = {"modules": 157, "functions": 1170, "records": 144}  # from a table of detections to a camera file
+PASSED = {"modules": 157, "functions": 1171, "records": 144}  # from a table of detections to a camera file
 SHORT = 5  # lines of a function's body, which could as well stand where it is called
 
 
