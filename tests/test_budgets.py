@@ -17,8 +17,8 @@ LINES = {
     "__init__": 37,
     "__main__": 6,
     "arrays": 42,
-    "calibrate": 8620,
-    "cameras": 3939,
+    "calibrate": 8622,
+    "cameras": 3947,
     "cli": 3688,
     "errors": 137,
     "estimate": 8715,
@@ -46,7 +46,7 @@ LINES = {
     "urls": 99,
 }
 PARTS = {"modules": 477, "records": 713, "records named in one module": 218, "short functions with one reference": 507}
-PASSED = {"modules": 157, "functions": 1170, "records": 144}  # from a table of detections to a camera file
+PASSED = {"modules": 157, "functions": 1171, "records": 144}  # from a table of detections to a camera file
 SHORT = 5  # lines of a function's body, which could as well stand where it is called
 
 
