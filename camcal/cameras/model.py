@@ -116,14 +116,20 @@ class Camera(Brief):
         They are fx and fy of most lenses; of a mirror or two spheres fx / (1 + ξ), known better than fx alone.
         """
 
-        def lengths(parameters: Array) -> Array:
-            ahead = self.model.project_with_jacobians(parameters, np.array([[0.0, 0.0, 1.0]]), within_domain=False)
-            return np.asarray(ahead.d_point[0, (0, 1), (0, 1)])
+        def ahead(parameters: Array) -> ProjectionJacobians:
+            return self.model.project_with_jacobians(parameters, np.array([[0.0, 0.0, 1.0]]), within_domain=False)
+
+        def lengths(values: Array, of: Array | slice = slice(None)) -> Array:
+            parameters = self.parameters.copy()
+            parameters[of] = values
+            return np.asarray(ahead(parameters).d_point[0, (0, 1), (0, 1)])
 
         if self.covariance is None:
             return lengths(self.parameters), np.zeros(2)
-        slopes = central_jacobian(lengths, self.parameters)
-        variances = np.einsum("ai,ij,aj->a", slopes, self.covariance, slopes)
+        columns = ahead(self.parameters).columns
+        of = np.arange(len(self.parameters)) if columns is None else columns[0]  # a spline has few knots on the axis
+        slopes = central_jacobian(lambda values: lengths(values, of), self.parameters[of])
+        variances = np.einsum("ai,ij,aj->a", slopes, self.covariance[np.ix_(of, of)], slopes)
         return lengths(self.parameters), np.sqrt(np.maximum(variances, 0.0))
 
     def value(self, name: str) -> float:
