@@ -36,7 +36,7 @@ LINES = {
     "raw": 5032,
     "records": 155,
     "report": 6873,
-    "run": 3698,
+    "run": 3697,
     "simulate": 1720,
     "solve": 1722,
     "stereo": 5116,
