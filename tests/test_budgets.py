@@ -18,7 +18,7 @@ LINES = {
     "__main__": 6,
     "arrays": 42,
     "calibrate": 8622,
-    "cameras": 3947,
+    "cameras": 3973,
     "cli": 3688,
     "errors": 137,
     "estimate": 8715,
