@@ -23,7 +23,7 @@ LINES = {
     "errors": 137,
     "estimate": 8715,
     "files": 398,
-    "formats": 13213,
+    "formats": 13212,
     "geometry": 963,
     "images": 2180,
     "messages": 232,
