@@ -125,6 +125,7 @@ CODES: Mapping[str, Mapping[str, str]] = {
         "check_image": "the images of a check are noisy, moved, of other sizes, or of a board that has changed",
         "repeated_robot_pose": "poses of a robot are repeated: they show nothing new",
         "doubtful_robot_pose": "poses of a robot fit no other: they hardly count",
+        "large_robot_noise": "the noise of a robot is larger than any robot has",
         "systematic_robot": "position errors of a robot are linear in position, not noise",
         "images_used_again": "images that a camera was calibrated from are used again: its lens is estimated from them",
         "replaced_view": "the camera file of an undistorted view was replaced by that of another one",

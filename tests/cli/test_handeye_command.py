@@ -114,6 +114,20 @@ def test_what_is_wrong_with_poses_is_named_and_the_remedy_helps(handeye, folder,
         assert handeye(arguments[0], *said.removeprefix("give ").split())[0] == 0
 
 
+def test_images_of_another_camera_and_poses_of_other_moments_are_told(run, handeye, folder, monkeypatch):
+    monkeypatch.chdir(folder)
+    other = Camera(LENS.model, LENS.image_size, LENS.parameters * [0.6, 0.6, 1, 1, 2, 1, 1, 1], LENS.covariance)
+    native.write(folder / "other.yaml", CameraFile({"camera": CameraEntry(other, noise=CalibrationNoise(0.1))}))
+    code, _, err = run("handeye", "other.yaml", "seen.csv", "--robot", "robot.csv", "-o", "x.yaml")
+    assert (code, "px with this lens: the images are of another camera" in err) == (2, True)
+    rng = np.random.default_rng(2)
+    rows = np.loadtxt(folder / "robot.csv", delimiter=",")
+    rows[:, :3] += rng.normal(0, 0.02, (COUNT, 3))
+    (folder / "shaken.csv").write_text("\n".join(",".join(map(repr, row)) for row in rows.tolist()))
+    code, _, err = handeye("shaken.csv")
+    assert (code, "mm and" in err and "more than any robot has" in err) == (0, True)
+
+
 def test_a_board_without_a_size_is_refused(run, folder, monkeypatch):
     monkeypatch.chdir(folder)
     squares = Board("chessboard", 9, 6)

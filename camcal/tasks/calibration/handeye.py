@@ -52,6 +52,8 @@ COLUMNS = (
     Column("± std", "deg"),
 )
 _MILLI = 1e3
+_FOREIGN_PX = 3.0  # of corners, with a lens that is not theirs
+_LARGE = (5e-3, np.radians(0.5))  # m and rad: noise of no robot that is sound
 _DOUBTFUL = 0.3  # the weight below which a pose of the robot is named
 _SYSTEMATIC = 0.3  # of the variance of its position errors, linear in position
 
@@ -125,6 +127,11 @@ def handeye(options: HandEyeOptions, progress: Progress = SILENT) -> HandEyeRepo
                 "its lens has no image of the corners: the images are of another camera", where=str(path)
             )
         found = estimated[0]
+        if (off := found.parts[0].noise.sigma) > _FOREIGN_PX:
+            text = (
+                f"the corners are off by {off:.1f} px with this lens: the images are of another camera, focus or size"
+            )
+            raise InvalidInput(text, where=str(path))
         camera_T_board = Poses(found.state.rotations, found.state.translations)
         reading, remarks = _read(options, rows, places, camera_T_board)
         robot = RobotPoses(
@@ -136,7 +143,7 @@ def handeye(options: HandEyeOptions, progress: Progress = SILENT) -> HandEyeRepo
     images = tuple(view.image for view in views)
     doubtful = tuple(image for image, weight in zip(images, estimate.weights, strict=True) if weight < _DOUBTFUL)
     systematic = _linear_share(estimate)
-    warnings += remarks + _remarks(doubtful, systematic)
+    warnings += remarks + _remarks(doubtful, systematic, estimate.sigmas)
     warn_of(warnings, progress)
     transforms, joint = _transforms(estimate, name, options.eye_to_hand)
     report = HandEyeReport(
@@ -207,7 +214,7 @@ def _read(
     forms = rows.forms() if options.robot_form is None else (form_named(options.robot_form),)
     scales = tuple(UNITS.values()) if options.robot_unit is None else (UNITS[options.robot_unit],)
     directions = (False, True) if options.robot_frames is None else (options.robot_frames == HAND_T_BASE,)
-    candidates = _candidates(forms, numbers)
+    candidates = candidates_of(forms, numbers)
     if not candidates:
         named = options.robot_form or f"of {numbers.shape[1]} numbers"
         raise InvalidInput(f"its rows are no poses {named}", where=str(options.robot))
@@ -215,7 +222,7 @@ def _read(
     best = readings[0]
     if (axis := undetermined_axis(best.poses)) is not None:
         raise InsufficientData(_little_rotation(axis))
-    everything = _candidates(rows.forms(), numbers)
+    everything = candidates_of(rows.forms(), numbers)
     others = read_robot(everything, camera, tuple(UNITS.values()), (False, True), in_hand) if everything else ()
     for said, names in _mistakes(options, best, others):
         raise InvalidInput(f"{said}: {names}", where=str(options.robot))
@@ -251,7 +258,7 @@ def _mistakes(options: HandEyeOptions, best: Reading, others: Sequence[Reading])
     return [("the poses fit the images as something else", f"give {' '.join(told)}")] if told else []
 
 
-def _candidates(forms: Sequence[Form], numbers: Array) -> list[tuple[str, Poses]]:
+def candidates_of(forms: Sequence[Form], numbers: Array) -> list[tuple[str, Poses]]:
     """Return the poses (N,) that rows of numbers are in each form, without those in which they are none."""
     found = []
     for form in forms:
@@ -303,9 +310,13 @@ def _linear_share(estimate: RobotEstimate) -> float:
     return float(max(0.0, 1.0 - np.sum(left**2) / (count - used) / whole)) if whole > 0 else 0.0
 
 
-def _remarks(doubtful: Sequence[str], systematic: float) -> tuple[Message, ...]:
+def _remarks(doubtful: Sequence[str], systematic: float, sigmas: tuple[float, float]) -> tuple[Message, ...]:
     """Return what is to be said of the robot's poses."""
     found = []
+    if sigmas[0] > _LARGE[0] or sigmas[1] > _LARGE[1]:
+        size = f"{_MILLI * sigmas[0]:.2g} mm and {np.degrees(sigmas[1]):.2g}°"
+        text = f"noise of the robot {size}, more than any robot has: check that poses and images are of the same moments"
+        found.append(Message("large_robot_noise", text, {"position_m": sigmas[0], "rotation_rad": sigmas[1]}))
     if doubtful:
         text = f"poses of the robot that fit no other: {', '.join(doubtful[:5])}{' …' * (len(doubtful) > 5)}"
         found.append(Message("doubtful_robot_pose", text, {"poses": len(doubtful)}))
