@@ -6,6 +6,7 @@ Screenshots and drawings of a board are told from photographs: no lens has made 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -60,6 +61,11 @@ def is_table(text: str, suffixes: Sequence[str] = DETECTION_SUFFIXES) -> bool:
     suffixes: OWN_SUFFIXES where other files may be camera files.
     """
     return text == files.STANDARD or Path(text).suffix.lower() in suffixes
+
+
+def view_settings(options: object) -> dict[str, Any]:
+    """Return how images are read by the options of a command, for `board_views`."""
+    return {name: getattr(options, name) for name in ("recursive", "jobs", "image_size", "reading", "frames")}
 
 
 def board_views(

@@ -30,7 +30,7 @@ from camcal.run.outputs import writes
 from camcal.run.paths import split_address
 from camcal.targets.board import Board
 from camcal.targets.detection import BoardDetection
-from camcal.tasks.calibration.board_views import BoardViews, board_views, screenshots
+from camcal.tasks.calibration.board_views import BoardViews, board_views, screenshots, view_settings
 from camcal.tasks.calibration.camera_result import CalibrateReport, Channel, camera_file, channel_figures
 from camcal.tasks.calibration.corner_refinement import RefinementSummary, is_located, is_refined, refine_corners
 from camcal.tasks.calibration.image_circle_of_views import circle_lines, known_circle, with_circle
@@ -55,12 +55,8 @@ def seen_of(options: CalibrateOptions, board: Board | str | None, progress: Prog
     return board_views(
         options.inputs,
         board,
-        recursive=options.recursive,
-        jobs=options.jobs,
         progress=progress,
-        image_size=options.image_size,
-        reading=options.reading,
-        frames=options.frames,
+        **view_settings(options),
         parts=options.parts,
         mixed_sizes=options.mixed_sizes,
         batch=options.batch,

@@ -42,7 +42,7 @@ from camcal.run.paths import split_address
 from camcal.targets.board import Board, Surface
 from camcal.targets.detection import BoardDetection
 from camcal.tasks.calibration.advise import pose_words
-from camcal.tasks.calibration.board_views import board_views
+from camcal.tasks.calibration.board_views import board_views, view_settings
 from camcal.tasks.calibration.check_options import CheckOptions
 from camcal.tasks.given_camera import require_no_image
 from camcal.tasks.rigs.options import RigSettings
@@ -136,16 +136,7 @@ class CheckViews:
 def _look(options: CheckOptions, board: Board | str | None, names: tuple[str, ...], progress: Progress) -> CheckViews:
     """Return what the inputs show of the board."""
     if len(names) == 1:
-        one = board_views(
-            options.inputs,
-            board,
-            recursive=options.recursive,
-            jobs=options.jobs,
-            progress=progress,
-            image_size=options.image_size,
-            reading=options.reading,
-            frames=options.frames,
-        )
+        one = board_views(options.inputs, board, progress=progress, **view_settings(options))
         return CheckViews(one.board, {names[0]: one.detections.views}, warnings=one.warnings)
     settings = RigSettings(
         board=board,

@@ -38,7 +38,7 @@ from camcal.run.outputs import claim, writes
 from camcal.run.paths import split_address
 from camcal.targets.board import Surface
 from camcal.targets.detection import BoardDetection
-from camcal.tasks.calibration.board_views import board_views
+from camcal.tasks.calibration.board_views import board_views, view_settings
 from camcal.tasks.calibration.handeye_options import BASE_T_HAND, HAND_T_BASE, UNITS, HandEyeOptions
 from camcal.tasks.given_camera import require_no_image
 
@@ -93,16 +93,7 @@ def handeye(options: HandEyeOptions, progress: Progress = SILENT) -> HandEyeRepo
     board = options.board
     if board is None and file.board_shape is not None:
         board = file.board_shape.board
-    seen = board_views(
-        options.inputs,
-        board,
-        recursive=options.recursive,
-        jobs=options.jobs,
-        progress=progress,
-        image_size=options.image_size,
-        reading=options.reading,
-        frames=options.frames,
-    )
+    seen = board_views(options.inputs, board, progress=progress, **view_settings(options))
     if seen.board.unit != "m":
         raise InvalidInput(
             "hand and eye are in metres: give the size of the board's squares, as in chessboard:9x6:25mm"
@@ -315,7 +306,7 @@ def _remarks(doubtful: Sequence[str], systematic: float, sigmas: tuple[float, fl
     found = []
     if sigmas[0] > _LARGE[0] or sigmas[1] > _LARGE[1]:
         size = f"{_MILLI * sigmas[0]:.2g} mm and {np.degrees(sigmas[1]):.2g}°"
-        text = f"noise of the robot {size}, more than any robot has: check that poses and images are of the same moments"
+        text = f"noise of the robot {size}, more than any robot has: are poses and images of the same moments?"
         found.append(Message("large_robot_noise", text, {"position_m": sigmas[0], "rotation_rad": sigmas[1]}))
     if doubtful:
         text = f"poses of the robot that fit no other: {', '.join(doubtful[:5])}{' …' * (len(doubtful) > 5)}"
