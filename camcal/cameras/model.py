@@ -11,6 +11,7 @@ from camcal.arrays import Array, FloatArray, readonly, require_shape
 from camcal.cameras.catalogue import MODELS
 from camcal.cameras.directions import projection_covariances
 from camcal.cameras.lens import FISHEYE, OPENCV, CameraModel, Projection, ProjectionJacobians, Rays
+from camcal.cameras.plane_model import PlaneModel
 from camcal.errors import InvalidInput
 from camcal.geometry.pose import Pose
 from camcal.records import Brief
@@ -115,16 +116,20 @@ class Camera(Brief):
 
         They are fx and fy of most lenses; of a mirror or two spheres fx / (1 + ξ), known better than fx alone.
         """
+        model = self.model
+        own = slice(4 + len(model.plane_parameters) if isinstance(model, PlaneModel) else 4)  # no term of a distortion
 
         def lengths(parameters: Array) -> Array:
-            ahead = self.model.project_with_jacobians(parameters, np.array([[0.0, 0.0, 1.0]]), within_domain=False)
+            every = np.concatenate([parameters, self.parameters[own.stop :]])
+            ahead = model.project_with_jacobians(every, np.array([[0.0, 0.0, 1.0]]), within_domain=False)
             return np.asarray(ahead.d_point[0, (0, 1), (0, 1)])
 
+        found = lengths(self.parameters[own])
         if self.covariance is None:
-            return lengths(self.parameters), np.zeros(2)
-        slopes = central_jacobian(lengths, self.parameters)
-        variances = np.einsum("ai,ij,aj->a", slopes, self.covariance, slopes)
-        return lengths(self.parameters), np.sqrt(np.maximum(variances, 0.0))
+            return found, np.zeros(2)
+        slopes = central_jacobian(lengths, self.parameters[own])
+        variances = np.einsum("ai,ij,aj->a", slopes, self.covariance[own, own], slopes)
+        return found, np.sqrt(np.maximum(variances, 0.0))
 
     def value(self, name: str) -> float:
         """Return one parameter by its name, such as 'fx'."""
