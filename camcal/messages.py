@@ -123,6 +123,10 @@ CODES: Mapping[str, Mapping[str, str]] = {
         "drifted": "new images show that a camera is no longer as calibrated, or stands otherwise",
         "not_shown": "new images would not have shown a drift above the limit",
         "check_image": "the images of a check are noisy, moved, of other sizes, or of a board that has changed",
+        "repeated_robot_pose": "poses of a robot are repeated: they show nothing new",
+        "doubtful_robot_pose": "poses of a robot fit no other: they hardly count",
+        "systematic_robot": "position errors of a robot are linear in position, not noise",
+        "images_used_again": "images that a camera was calibrated from are used again: its lens is estimated from them",
         "replaced_view": "the camera file of an undistorted view was replaced by that of another one",
     },
     "Poses": {

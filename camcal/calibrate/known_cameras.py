@@ -56,7 +56,8 @@ class KnownCamera:
     @property
     def free(self) -> Array:
         """The parameters (F,) that its calibration has estimated."""
-        assert self.camera.covariance is not None
+        if self.camera.covariance is None:
+            return np.zeros(0, np.intp)
         return np.flatnonzero(np.diag(self.camera.covariance) > 0)
 
 
@@ -101,21 +102,11 @@ def examine(known: Sequence[KnownCamera], poses: Sequence[Pose], board: KnownBoa
     """Return what new views say of cameras at poses camera_T_rig, the first of which is the rig's; None where the lens
     of a camera cannot take the corners at all. Raises InsufficientData where views leave parameters undetermined.
     """
-    started = _start(known, poses, board)
-    if started is None:
+    estimated = estimate_known(known, poses, board, {place: _wide(each) for place, each in enumerate(known)})
+    if estimated is None:
         return None
-    problem, start = started
-    additional = AdditionalParameters(not board.shape_known, problem.board.count <= TOGETHER)
-    try:
-        found = _estimate(problem, start, additional)
-        for _ in range(_ROUNDS if len(problem.board.symmetries()) > 1 else 0):
-            better = best_turns_of_captures(found.problem, found.state)
-            if not better.any():
-                break
-            bare = replace(found.state, offsets=0 * found.state.offsets)
-            found = _estimate(*turned(problem, bare, better), additional)
-    except (SingularError, np.linalg.LinAlgError) as error:
-        raise InsufficientData("the views do not determine where the board is: more corners are needed") from error
+    found, start = estimated
+    additional = found.additional
     every = replace(additional, effects=tuple(effect.name for effect in EFFECTS))
     motion = len(known) > 1 and moved_between_exposures(found)
     with suppress(SingularError, np.linalg.LinAlgError):  # views that fit nowhere tell of no errors within them
@@ -134,6 +125,42 @@ def examine(known: Sequence[KnownCamera], poses: Sequence[Pose], board: KnownBoa
         _board_change(found) if board.shape_known else (0.0, 0),
         _by_place(found),
     )
+
+
+def estimate_known(
+    known: Sequence[KnownCamera], poses: Sequence[Pose], board: KnownBoard, priors: dict[int, LensPrior]
+) -> tuple[RigEstimate, RigState] | None:
+    """Return the estimate of new views of cameras at poses camera_T_rig, with priors of their lenses by the places of
+    cameras, and where it started; None where the lens of a camera cannot take the corners at all.
+
+    Errors within views are taken for noise. Raises InsufficientData where views leave parameters undetermined.
+    """
+    started = _start(known, poses, board, priors)
+    if started is None:
+        return None
+    problem, start = started
+    additional = AdditionalParameters(not board.shape_known, problem.board.count <= TOGETHER)
+    try:
+        found = _estimate(problem, start, additional)
+        for _ in range(_ROUNDS if len(problem.board.symmetries()) > 1 else 0):
+            better = best_turns_of_captures(found.problem, found.state)
+            if not better.any():
+                break
+            bare = replace(found.state, offsets=0 * found.state.offsets)
+            found = _estimate(*turned(problem, bare, better), additional)
+    except (SingularError, np.linalg.LinAlgError) as error:
+        raise InsufficientData("the views do not determine where the board is: more corners are needed") from error
+    return found, start
+
+
+def wide_prior_of(known: KnownCamera) -> LensPrior:
+    """Return the prior of a lens that may have changed."""
+    return _wide(known)
+
+
+def prior_of(known: KnownCamera) -> LensPrior:
+    """Return the prior of a lens that has stayed as it is."""
+    return _prior(known, np.zeros((len(known.camera.parameters),) * 2))
 
 
 def _estimate(problem: RigProblem, state: RigState, additional: AdditionalParameters) -> RigEstimate:
@@ -176,7 +203,7 @@ def _board_change(found: RigEstimate) -> tuple[float, int]:
 
 
 def _start(
-    known: Sequence[KnownCamera], poses: Sequence[Pose], board: KnownBoard
+    known: Sequence[KnownCamera], poses: Sequence[Pose], board: KnownBoard, priors: dict[int, LensPrior]
 ) -> tuple[RigProblem, RigState] | None:
     """Return problem and state with the cameras as they are known, and the board where they see it; None where a lens
     cannot take all corners.
@@ -215,8 +242,7 @@ def _start(
         shape=np.zeros(len(parts[0].terms)),
         offsets=np.zeros((surface.board.count, 3)),
     )
-    captures, priors = tuple(each.captures for each in known), {place: _wide(each) for place, each in enumerate(known)}
-    return RigProblem(tuple(parts), captures, count, priors), start
+    return RigProblem(tuple(parts), tuple(each.captures for each in known), count, priors), start
 
 
 def _part(problem: BoardProblem, state: State, known: KnownCamera, board: KnownBoard) -> BoardProblem:
@@ -250,8 +276,12 @@ def _sigma(problem: BoardProblem, state: State) -> float:
 
 def _wide(known: KnownCamera) -> LensPrior:
     """Return the prior of a lens that may have changed: what is known of it, and by how much lenses change."""
-    free = known.free
-    covariance = np.asarray(known.camera.covariance) + changes(known.camera)
+    return _prior(known, changes(known.camera))
+
+
+def _prior(known: KnownCamera, changed: Array) -> LensPrior:
+    free, count = known.free, len(known.camera.parameters)
+    covariance = changed + (np.zeros((count, count)) if known.camera.covariance is None else known.camera.covariance)
     root = np.linalg.inv(np.linalg.cholesky(covariance[np.ix_(free, free)]))
     return LensPrior(known.camera.parameters[free], root)
 

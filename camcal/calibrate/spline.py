@@ -37,7 +37,7 @@ _CLEARLY = 1.5
 _SIZES = (8, 11, 15, 20)  # knots across the part of the plane that corners show
 _SPREADS = np.geomspace(1e-6, 0.1, 51)  # of differences from the base lens, in units of the plane
 _ROUNDS, _SETTLED = 4, 0.1  # of the spread
-_FINE = Stopping(relative_decrease=1e-7, iterations=30)
+_FINE = Stopping(relative_decrease=1e-6, iterations=30)
 _LOSS = Cauchy(3.0)
 _WIDEST = 2 * np.tan(np.radians(345) / 4)  # half of the plane at most
 _MARGIN = 1.02  # of what the image shows, to be within the knots
@@ -50,9 +50,9 @@ Fitted: TypeAlias = tuple[Estimate, Array]
 
 
 class Normal(NamedTuple):
-    """What each view says of the modes, all else following.
+    """What blocks of views say of the modes, all else following.
 
-    matrices: (V, m, m) and the sides (V, m) that they stand against. cost: of all views without modes.
+    matrices: (B, m, m) and the sides (B, m) that they stand against. cost: of all views without modes.
     """
 
     matrices: Array
@@ -63,8 +63,8 @@ class Normal(NamedTuple):
 class Evidence(NamedTuple):
     """How far a lens may differ from its base.
 
-    spread: τ. score: how well views are predicted with it, nat. noise_ratio: by how much the views' sides scatter more
-    than noise would have it.
+    spread: τ. score: how well views are predicted with it, nat. noise_ratio: by how much the sides of blocks scatter
+    more than noise would have it.
     """
 
     spread: float
@@ -205,7 +205,11 @@ def _normal(problem: BoardProblem, state: State) -> Normal:
     reduced = inverse @ equations.group_shared
     gone = (inverse @ equations.gradient.groups[..., None])[..., 0]
     parts = equations.group_gradients - np.einsum("gis,gi->gs", reduced, gone)
-    matrices = equations.group_products - reduced.transpose(0, 2, 1) @ reduced
+    blocks = np.array_split(np.arange(len(parts)), min(len(parts), _BLOCKS))
+    matrices = np.empty((len(blocks), *equations.shared_shared.shape))
+    for matrix, block in zip(matrices, blocks, strict=True):
+        rows = reduced[block].reshape(-1, reduced.shape[2])
+        matrix[:] = equations.group_products[block].sum(axis=0) - rows.T @ rows
     prior = problem.prior_precision()
     whole = matrices.sum(axis=0) + prior
     modes = np.arange(model.first_mode, len(problem.free))
@@ -221,22 +225,20 @@ def _normal(problem: BoardProblem, state: State) -> Normal:
     # of the modes' own prior in the cost nothing is left
     lowest = equations.cost - 0.5 * float(np.sum(gone**2) + pull @ inner @ pull)
     lowest -= 0.5 * float(np.sum((values / problem.lens_spread[modes]) ** 2))
-    sides = matrices @ values - parts @ follow
+    sides = matrices @ values - np.stack([parts[block].sum(axis=0) for block in blocks]) @ follow
     cost = lowest + float(values @ sides.sum(axis=0)) - 0.5 * float(values @ matrices.sum(axis=0) @ values)
     return Normal(matrices, sides, cost)
 
 
 def _evidence(normal: Normal) -> Evidence:
     """Return the spread with which the other views predict every block of views best."""
-    views = len(normal.sides)
     whole, side = normal.matrices.sum(axis=0), normal.sides.sum(axis=0)
-    gains = np.zeros((min(views, _BLOCKS), len(_SPREADS)))
-    for block, own in enumerate(np.array_split(np.arange(views), len(gains))):
-        matrix, pull = normal.matrices[own].sum(axis=0), normal.sides[own].sum(axis=0)
+    gains = np.zeros((len(normal.sides), len(_SPREADS)))
+    for block, (matrix, pull) in enumerate(zip(normal.matrices, normal.sides, strict=True)):
         values, vectors = np.linalg.eigh(whole - matrix)
         amplitudes = ((side - pull) @ vectors) / (np.maximum(values, 0.0) + _SPREADS[:, None] ** -2)
-        matrix, pull = vectors.T @ matrix @ vectors, pull @ vectors
-        gains[block] = amplitudes @ pull - 0.5 * np.einsum("si,ij,sj->s", amplitudes, matrix, amplitudes)
+        moved = amplitudes @ (vectors.T @ matrix @ vectors)
+        gains[block] = amplitudes @ (pull @ vectors) - 0.5 * np.sum(moved * amplitudes, axis=1)
     total = gains.sum(axis=0)
     behind = gains[:, [int(np.argmax(total))]] - gains
     # the least spread with which views are predicted about as well as with any

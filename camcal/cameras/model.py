@@ -11,7 +11,6 @@ from camcal.arrays import Array, FloatArray, readonly, require_shape
 from camcal.cameras.catalogue import MODELS
 from camcal.cameras.directions import projection_covariances
 from camcal.cameras.lens import FISHEYE, OPENCV, CameraModel, Projection, ProjectionJacobians, Rays
-from camcal.cameras.plane_model import PlaneModel
 from camcal.errors import InvalidInput
 from camcal.geometry.pose import Pose
 from camcal.records import Brief
@@ -116,20 +115,22 @@ class Camera(Brief):
 
         They are fx and fy of most lenses; of a mirror or two spheres fx / (1 + ξ), known better than fx alone.
         """
-        model = self.model
-        own = slice(4 + len(model.plane_parameters) if isinstance(model, PlaneModel) else 4)  # no term of a distortion
 
-        def lengths(parameters: Array) -> Array:
-            every = np.concatenate([parameters, self.parameters[own.stop :]])
-            ahead = model.project_with_jacobians(every, np.array([[0.0, 0.0, 1.0]]), within_domain=False)
-            return np.asarray(ahead.d_point[0, (0, 1), (0, 1)])
+        def ahead(parameters: Array) -> ProjectionJacobians:
+            return self.model.project_with_jacobians(parameters, np.array([[0.0, 0.0, 1.0]]), within_domain=False)
 
-        found = lengths(self.parameters[own])
+        def lengths(values: Array, of: Array | slice = slice(None)) -> Array:
+            parameters = self.parameters.copy()
+            parameters[of] = values
+            return np.asarray(ahead(parameters).d_point[0, (0, 1), (0, 1)])
+
         if self.covariance is None:
-            return found, np.zeros(2)
-        slopes = central_jacobian(lengths, self.parameters[own])
-        variances = np.einsum("ai,ij,aj->a", slopes, self.covariance[own, own], slopes)
-        return found, np.sqrt(np.maximum(variances, 0.0))
+            return lengths(self.parameters), np.zeros(2)
+        columns = ahead(self.parameters).columns
+        of = np.arange(len(self.parameters)) if columns is None else columns[0]  # a spline has few knots on the axis
+        slopes = central_jacobian(lambda values: lengths(values, of), self.parameters[of])
+        variances = np.einsum("ai,ij,aj->a", slopes, self.covariance[np.ix_(of, of)], slopes)
+        return lengths(self.parameters), np.sqrt(np.maximum(variances, 0.0))
 
     def value(self, name: str) -> float:
         """Return one parameter by its name, such as 'fx'."""

@@ -20,7 +20,7 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.cameras.lens import CameraModel, Domain, Projection, ProjectionJacobians, Rays
 from camcal.cameras.model import Camera
-from camcal.cameras.plane_model import CORE
+from camcal.cameras.plane_model import CORE, parts_of
 from camcal.cameras.spline import Knots, SplinedStereographic
 from camcal.geometry import rotation as so3
 
@@ -126,19 +126,21 @@ class ReducedSpline:
         local = found.d_parameters.transpose(1, 2, 0)
         assert found.columns is not None
         first = (found.columns[:, core] - core) // 2
-        order = np.argsort(first, kind="stable")
-        starts = np.flatnonzero(np.diff(first[order], prepend=-1))
-        moved = np.empty((2, self.basis.shape[1] - core, len(first)))
-        for start, end in zip(starts, np.append(starts[1:], len(first)), strict=True):
-            cell = order[start:end]
-            columns = found.columns[cell[0], core:]
-            for axis in range(2):
-                of_axis = slice(axis * taps, (axis + 1) * taps)
-                weights = local[axis, core + axis * taps : core + (axis + 1) * taps][:, cell]
-                moved[axis][:, start:end] = self.basis[columns[of_axis], core:].T @ weights
         d_parameters = np.empty((2, self.basis.shape[1], len(first)))
         d_parameters[:, :core] = local[:, :core]
-        d_parameters[:, core:, order] = moved
+        for part in parts_of(len(first)):
+            order = np.argsort(first[part], kind="stable")
+            starts = np.flatnonzero(np.diff(first[part][order], prepend=-1))
+            back = np.empty_like(order)
+            back[order] = np.arange(len(order))
+            for axis, rows in enumerate(d_parameters[:, core:, part]):
+                weights = local[axis, core + axis * taps : core + (axis + 1) * taps, part][:, order]
+                moved = np.empty((len(rows), len(order)))
+                for start, end in zip(starts, np.append(starts[1:], len(order)), strict=True):
+                    columns = found.columns[part.start + order[start], core + axis * taps :][:taps]
+                    np.matmul(self.basis[columns, core:].T, weights[:, start:end], out=moved[:, start:end])
+                for source, row in zip(moved, rows, strict=True):  # row by row, which stays in the cache
+                    row[:] = source.take(back)
         return ProjectionJacobians(found.pixels, found.valid, found.d_point, d_parameters.transpose(2, 0, 1))
 
     def unproject(self, parameters: Array, pixels: Array) -> Rays:

@@ -50,6 +50,7 @@ COMMANDS = (
     Entry("plot", "inspect:plot", "Draw figures of result files."),
     Entry("convert", "inspect:convert", "Convert camera files from and to OpenCV, ROS and Kalibr."),
     Entry("inspect", "inspect:inspect", "Show a camera file or a raw frame."),
+    Entry("handeye", "poses:handeye", "Calibrate where a camera stands on a robot."),
     Entry("check", "inspect:check", "Check by new images whether a calibration still holds."),
     Entry("diff", "inspect:diff", "Compare cameras: the same, moved, or another."),
     Entry("advise", "calibrate:advise", "Suggest the views to take next."),

@@ -1,4 +1,4 @@
-"""`camcal pnp`, `track`, `smooth` and `fit`: what is estimated from points, images, poses and tables."""
+"""`camcal pnp`, `track`, `handeye`, `smooth`, `fit`: what is estimated from points, images, poses and tables."""
 
 from typing import TYPE_CHECKING
 
@@ -6,6 +6,7 @@ from camcal.cli import show
 from camcal.cli.call import Call, ImageCall
 from camcal.messages import counted
 from camcal.report.table import Column
+from camcal.tasks.calibration.handeye_options import HandEyeOptions
 from camcal.tasks.curves.options import TABLE, FitOptions
 from camcal.tasks.poses.options import PnpOptions
 from camcal.tasks.poses.smooth_options import SmoothOptions, TrackingOptions
@@ -13,6 +14,7 @@ from camcal.tasks.poses.smooth_options import SmoothOptions, TrackingOptions
 if TYPE_CHECKING:
     from camcal.estimate.curves.curve import CurveFit, Estimate
     from camcal.estimate.curves.fit import End
+    from camcal.tasks.calibration.handeye import HandEyeReport
     from camcal.tasks.curves.fit_report import FitReport
     from camcal.tasks.poses.pnp import PnpReport
     from camcal.tasks.poses.smooth import Smoothing
@@ -231,3 +233,27 @@ def _ends(ends: "tuple[End, End]", std: float | None) -> list[str | None]:
     from camcal.report.table import value_and_std
 
     return [None if end is None else value_and_std(end, std)[0] for end in ends]
+
+
+def handeye(options: HandEyeOptions, call: ImageCall) -> None:
+    """Calibrate where a camera stands on a robot's hand, from images of a board that stands still.
+
+    With the board in the hand, where it stands beside the robot.
+
+    How the robot's poses are written, which way they are and their unit are told from the images where they are not
+    given, and said. The robot's own noise is estimated, with its intervals.
+    """
+    from camcal.tasks.calibration.handeye import document
+    from camcal.tasks.calibration.handeye import handeye as run
+
+    report = run(options, call.progress)
+    call.give(lambda: document(report), lambda: _show_handeye(report, call.verbose))
+
+
+def _show_handeye(report: "HandEyeReport", verbose: bool) -> None:
+    from camcal.tasks.calibration.handeye import COLUMNS, noise_words, rows
+
+    show.text(f"Poses of the robot read as {report.words}")
+    show.table("transforms", COLUMNS, rows(report), verbose=verbose)
+    show.text(noise_words(report))
+    show.wrote(report.output)

@@ -49,7 +49,8 @@ def read(path: Path, board: Board | None, image_size: ImageSize | None = None) -
         content = files.read_bytes(path, _LARGEST)
         try:
             reader = next((reader for sign, reader in _READERS if re.match(sign, content)), None)
-            images, size, metres = reader(content) if reader else ({}, None, None)
+            images, told, metres = reader(content) if reader else ({}, None, None)
+            size = told and (int(told[0]), int(told[1]))
             images = {name: each for name, each in images.items() if np.isfinite(each[1]).any()}
         except (ValueError, LookupError, TypeError, AttributeError, OverflowError, struct.error, zlib.error) as error:
             raise FileError("a damaged or truncated corner list") from error
@@ -64,10 +65,10 @@ def read(path: Path, board: Board | None, image_size: ImageSize | None = None) -
             raise InvalidInput("tells no size of its images: set --image-size WxH")
         views = []
         for name, (ids, pixels) in images.items():
-            width, height = size or (image_size(name) if callable(image_size) else image_size) or (0, 0)
+            own = size or (image_size(name) if callable(image_size) else image_size) or (0, 0)
             order = np.argsort(ids)[np.isfinite(pixels[np.argsort(ids)]).all(axis=1)]
-            view = BoardDetection(name, (int(width), int(height)), ids[order].astype(np.intp), pixels[order])
-            if view.ids.max() >= board.count or far_outside(view.pixels, np.array(view.size)).any():
+            view = BoardDetection(name, own, ids[order].astype(np.intp), pixels[order])
+            if min(own) < 1 or view.ids.max() >= board.count or far_outside(view.pixels, np.array(view.size)).any():
                 raise InvalidInput(f"{name}: corners beyond the board or the image")
             views.append(view)
         return Detections(board, tuple(views))

@@ -157,9 +157,10 @@ def mosaic(frame: Path) -> tuple[Image, str]:
     """
     path, number = frame.with_name(frame.name.rpartition("_")[0]), int(frame.name.rpartition("_")[2])
     times = _recorded_ns(path, file_of(path).stat().st_mtime_ns)
+    if number >= len(times):
+        raise FileError(f"ends after {len(times)} messages; the bag may be truncated", where=str(path))
     same = int(np.searchsorted(times[:number], times[number]))  # messages of that time come before it
-    messages = (message for _, message in _messages(path, times[number]))
-    message = next(islice(messages, number - same, None))
+    [message] = [message for _, message in islice(_messages(path, times[number]), number - same, number - same + 1)]
     return _decoded(message, path), _pattern(message)
 
 
@@ -187,18 +188,22 @@ def stamps(path: Path) -> Array:
 def camera_infos(path: Path) -> list[tuple[str, Any]]:
     """Return the topics of a bag that have a sensor_msgs/CameraInfo, with the first of each; raises FileError."""
     with _open(path) as (topics, messages):
-        found = [name for name, each in topics.items() if each.msgtype == _CAMERA_INFO and each.msgcount]
-        if not found:
-            raise FileError("holds no sensor_msgs/CameraInfo", where=str(path))
-        return [(name, next(messages(name))[1]) for name in found]
+        names = [name for name, each in topics.items() if each.msgtype == _CAMERA_INFO]
+        found = [(name, message) for name in names for _, message in islice(messages(name), 1)]
+    if not found:
+        raise FileError("holds no sensor_msgs/CameraInfo", where=str(path))
+    return found
 
 
 def _messages(path: Path, from_ns: int | None = None) -> Iterator[tuple[int, Any]]:
     bag, topic = address_of(path) or (path, "")
+    found = False
     with _open(bag) as (topics, messages):
-        if topic not in topics or not topics[topic].msgcount:
-            raise FileError("holds no messages", where=str(path))
-        yield from messages(topic, from_ns)
+        for message in messages(topic, from_ns) if topic in topics else ():
+            found = True
+            yield message
+    if not found:
+        raise FileError("holds no messages", where=str(path))
 
 
 def _pattern(message: Any) -> str:

@@ -456,7 +456,7 @@ def test_a_shell_is_told_how_to_complete_commands(shell, start_python):
 @pytest.mark.parametrize(
     ("line", "offered"),
     [
-        ("calibrate --model kan", ["kannala_brandt4", "kannala_brandt5t"]),
+        ("calibrate --model kan", ["kannala_brandt4", "kannala_brandt5t", "kannala_brandt4_tilted"]),
         ("rig --model opencv1", ["opencv12", "opencv14"]),
         ("calibrate --board ch", ["chessboard:", "charuco:"]),
         ("convert a.yaml b.yaml --to k", ["kalibr"]),

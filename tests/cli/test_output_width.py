@@ -15,6 +15,7 @@ from camcal.cli import show
 from camcal.cli.main import COMMANDS
 from camcal.formats import detections, disparity, native
 from camcal.formats.camera_file import CalibrationVerdict, CameraEntry, CameraFile, Transform
+from camcal.formats.pose_text import Form
 from camcal.geometry.pose import Pose
 from camcal.images.files import save
 from camcal.report.table import cells, table_lines, wrapped
@@ -44,6 +45,7 @@ RUNS = {
     "rerun": "rerun again.html -o again",
     "plot": "plot path.tum -o plotted",
     "check": "check rig.yaml#camera_1 seen.csv",
+    "handeye": "handeye rig.yaml#camera_1 seen.csv --robot robot.csv -o hand.yaml",
     "diff": "diff pair.yaml#left pair.yaml#right",
     "advise": "advise seen.csv -o advised.png",
     "convert": "convert pair.yaml converted.yml --to opencv",
@@ -112,9 +114,10 @@ def folder(tmp_path_factory):
     many = CameraEntry(Camera(WIDE.model, WIDE.image_size, WIDE.parameters, SPREAD, ("k3",)))
     native.write(folder / "rig.yaml", CameraFile({f"camera_{number}": many for number in range(12)}))
     rng = np.random.default_rng(3)
-    detections.write(
-        folder / "seen.csv", observe(WIDE, BOARD, views(WIDE, BOARD, 8, rng=rng), rng=rng, noise_px=0.1)[0]
-    )
+    poses = views(WIDE, BOARD, 8, rng=rng)
+    detections.write(folder / "seen.csv", observe(WIDE, BOARD, poses, rng=rng, noise_px=0.1)[0])
+    robot = ["# x y z qx qy qz qw", *(" ".join(map(str, Form("ros").numbers(pose.inverse()))) for pose in poses)]
+    (folder / "robot.csv").write_text("\n".join(robot), encoding="utf-8")
     _pair_of_views(folder, rng)
     _tables(folder, rng)
     raw = RawOptions("RGGB", Sensor(0.25, 4.0, 15000.0, 64.0, 12), flats=6, darks=4)

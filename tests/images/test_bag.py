@@ -197,6 +197,10 @@ def test_messages_of_foxglove_are_named(tmp_path):
             bag.addressed(path)
 
 
+def frame_of(path):
+    return Path(video.frame_name(path, 1))
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_damaged_bags_end_with_one_line(tmp_path, gray, kind):
     """Cut off anywhere, and with bytes changed anywhere: frames or an error of the file, nothing else."""
@@ -213,10 +217,11 @@ def test_damaged_bags_end_with_one_line(tmp_path, gray, kind):
     refused = []
     for each in [*cut, *changed]:
         damaged.write_bytes(each)
-        try:
-            list(video.frames(bag.addressed(damaged)))
-        except (FileError, InvalidInput) as error:
-            refused.append(str(error))
+        for read in (lambda path: list(video.frames(path)), video.stamps, lambda path: bag.mosaic(frame_of(path))):
+            try:
+                read(bag.addressed(damaged))
+            except (FileError, InvalidInput) as error:
+                refused.append(str(error))
     assert len(refused) > 40
     assert all(len(words.splitlines()) == 1 for words in refused)
 

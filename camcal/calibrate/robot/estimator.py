@@ -1,0 +1,155 @@
+"""The robot's own noise as variance components, and hand and eye under it.
+
+The corners' noise and weights are those of the rig's estimate. Each pass solves for everything with the robot's noise
+as it is known, then takes the noise from the residuals of the robot's poses and what they have left (REML). Poses that
+do not fit count less, by a Student distribution.
+Source: Patterson & Thompson, Biometrika 58, 1971; Lange, Little & Taylor, JASA 84, 1989.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from camcal.arrays import Array
+from camcal.calibrate.problem import POSE
+from camcal.calibrate.rigs.estimator import RigEstimate
+from camcal.calibrate.robot.problem import OWN, RobotPoses, RobotProblem, RobotState
+from camcal.calibrate.robot.start import HandEye, Poses
+from camcal.errors import InsufficientData
+from camcal.geometry.pose import Pose
+from camcal.solve.descent import Stopping
+from camcal.solve.least_squares import minimise
+from camcal.solve.steps import Factors, SingularError
+
+_DOF = 4.0  # of the Student distribution
+_INFORMATION = (_DOF + POSE + 2) / (_DOF + POSE)  # of a Gaussian pose over one of the Student distribution
+_CONSISTENT = 0.924  # of 6 coordinates, the mean of their weighted squares where all are Gaussian
+_PASSES, _SETTLED = 40, 1e-3
+_LEAST = (1e-7, 1e-7)  # m and rad: a robot that is exact
+_LEFT = 0.05  # of the coordinates of a pose, however many were spent
+_HIDDEN = 0.1  # of them: a robot whose noise cannot be told from none
+_STOPPING = Stopping(relative_decrease=1e-9, iterations=30)
+_SCALE = 1.4826
+
+
+@dataclass(frozen=True, eq=False)
+class RobotEstimate:
+    """Hand and eye.
+
+    carrier_T_rig, world_T_board: see RobotProblem. covariance: (12, 12) of the steps of both. sigmas: the robot's noise
+    of a coordinate, m and rad; dof: the degrees of freedom that they were estimated with. residuals: (N, 6) of
+    base_T_hand, m and rad. weights: (N,). scatter: the variance from pose to pose over what the noise says.
+    """
+
+    problem: RobotProblem
+    state: RobotState
+    covariance: Array
+    sigmas: tuple[float, float]
+    dof: tuple[float, float]
+    residuals: Array
+    weights: Array
+    scatter: float
+    passes: int
+    converged: bool
+
+    @property
+    def carrier_T_rig(self) -> Pose:  # noqa: N802 - a_T_b
+        """Where the rig's frame stands in its carrier's."""
+        return Pose(self.state.fixed.rotations[0], self.state.fixed.translations[0])
+
+    @property
+    def world_T_board(self) -> Pose:  # noqa: N802
+        """Where the board stands in the world."""
+        return Pose(self.state.fixed.rotations[1], self.state.fixed.translations[1])
+
+
+def estimate_robot(found: RigEstimate, robot: RobotPoses, start: HandEye) -> RobotEstimate:
+    """Return hand and eye from a closed form on; raises InsufficientData where the poses leave them undetermined."""
+    rig = found.problem.with_parts([replace(part, offsets=False) for part in found.problem.parts])
+    fixed = [start.carrier_T_camera, start.world_T_board]
+    poses = Poses(np.stack([each.rotation for each in fixed]), np.stack([each.translation for each in fixed]))
+    state = RobotState(found.state, poses)
+    sigmas = tuple(
+        max(_SCALE * float(np.median(own)) / np.sqrt(3), least)
+        for own, least in zip((start.shifts, start.turns), _LEAST, strict=True)
+    )
+    problem = RobotProblem(rig, replace(robot, sigmas=(sigmas[0], sigmas[1])))
+    try:
+        return _estimate(problem, state)
+    except (SingularError, np.linalg.LinAlgError) as error:
+        raise InsufficientData(
+            "the robot's poses leave the place of the camera open: turn the hand about two axes, by 30° and more"
+        ) from error
+
+
+def _estimate(problem: RobotProblem, state: RobotState) -> RobotEstimate:
+    count = len(problem.robot.captures)
+    converged, passes = False, 0
+    dof = np.full(2, 3.0 * count)
+    for done in range(1, _PASSES + 1):
+        passes = done
+        solution = minimise(problem, state, _STOPPING)
+        state, factors = solution.state, solution.factors()
+        residuals, spent = _residuals_and_spent(problem, state, factors)
+        weights, before = problem.robot.weights, np.array(problem.robot.sigmas)
+        squares = np.stack([np.sum(residuals[:, :3] ** 2, axis=1), np.sum(residuals[:, 3:] ** 2, axis=1)])
+        dof = np.maximum(3.0 * count - spent.sum(axis=1), 3.0 * _LEFT * count)
+        sigmas = np.maximum(np.sqrt((weights * squares).sum(axis=1) / (_CONSISTENT * dof)), _LEAST)
+        # what corners and the other poses leave of a pose's coordinates is smaller than its noise
+        left = np.maximum(POSE - spent.sum(axis=0), POSE * _LEFT)
+        distances = (squares / sigmas[:, None] ** 2).sum(axis=0) * POSE / left
+        weights = (_DOF + POSE) / (_DOF + distances)
+        robot = replace(problem.robot, sigmas=(float(sigmas[0]), float(sigmas[1])), weights=weights)
+        problem = RobotProblem(problem.rig, robot)
+        # noise that is far below what the corners leave open falls for ever: it is none
+        settled = (np.abs(np.log(sigmas / before)) < _SETTLED) | (dof <= 3.0 * _HIDDEN * count)
+        converged = bool(settled.all())
+        if converged:
+            break
+    solution = minimise(problem, state, _STOPPING)
+    factors = solution.factors()
+    covariance, scatter = _covariance(problem, factors)
+    residuals = problem.robot_rows(solution.state)[0]
+    return RobotEstimate(
+        problem,
+        solution.state,
+        covariance,
+        sigmas=problem.robot.sigmas,
+        dof=(float(dof[0]), float(dof[1])),
+        residuals=residuals,
+        weights=problem.robot.weights,
+        scatter=scatter,
+        passes=passes,
+        converged=converged and solution.converged,
+    )
+
+
+def _residuals_and_spent(problem: RobotProblem, state: RobotState, factors: Factors) -> tuple[Array, Array]:
+    """Return the residuals (N, 6) of the robot's poses, and the degrees of freedom (2, N) that translations and
+    rotations have spent.
+    """
+    residuals, by_fixed, by_group = problem.robot_rows(state)
+    captures, shared = problem.robot.captures, factors.shared_covariance()
+    groups = factors.group_covariances()[captures]
+    coupling = factors.group_inverse.transpose(0, 2, 1) @ factors.reduced
+    across = -(coupling[captures] @ shared)[:, :, -OWN:]  # of group and fixed poses
+    mixed = by_group @ across @ by_fixed.transpose(0, 2, 1)
+    own = by_group @ groups @ by_group.transpose(0, 2, 1)
+    own += mixed + mixed.transpose(0, 2, 1) + by_fixed @ shared[-OWN:, -OWN:] @ by_fixed.transpose(0, 2, 1)
+    variances = np.einsum("nii->ni", own).reshape(-1, 2, 3).sum(axis=2)
+    spent = problem.robot.weights[:, None] * variances / np.array(problem.robot.sigmas) ** 2
+    return residuals, np.minimum(spent, 3.0).T
+
+
+def _covariance(problem: RobotProblem, factors: Factors) -> tuple[Array, float]:
+    """Return the covariance (12, 12) of the fixed poses, no less than the scatter from pose to pose says, and that
+    scatter: its variance over what the noise says.
+    """
+    claimed = factors.shared_covariance()
+    own = claimed[-OWN:, -OWN:] * _INFORMATION
+    count = len(problem.robot.captures)
+    steps = factors.group_scores()[problem.robot.captures] @ claimed[:, -OWN:]
+    scatter = steps.T @ steps * count / max(count - 2, 1)  # two poses' worth of six coordinates are spent
+    root = np.linalg.inv(np.linalg.cholesky(own))
+    ratio = float(np.trace(root @ scatter @ root.T) / OWN)
+    return own * max(ratio, 1.0), ratio

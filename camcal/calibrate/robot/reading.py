@@ -1,0 +1,125 @@
+"""In which way a robot's poses are to be read, told by what the camera saw, and what else may be wrong with them.
+
+What a pair of poses turns by is the same for hand and eye, whatever hand and eye are: that tells the form of rotations.
+The closed form of hand and eye then tells direction and unit. A list shifted against the images, a board or a camera
+that has moved, and a hand that turned about one axis only are told from it as well.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from camcal.arrays import Array
+from camcal.calibrate.robot.start import HandEye, Poses, angle_mismatch, closed_form, motions, pairs_of
+from camcal.geometry import rotation as so3
+
+LEAST_POSES = 5
+_BETTER = 3.0  # times: by so much another reading has to fit better than the one that was said
+_SHIFTS = (1, -1, 2, -2)
+_AXES = 0.15  # of the spread of turns about the first axis, that about the second
+_LEAST_TURN = np.radians(5.0)
+_BLOCK = 3  # poses that stand apart at the least
+_MOVED, _APART = 25.0, 4.0  # F of the difference of two means, and that in standard deviations of one coordinate
+_SAME = (1e-5, np.radians(0.005))  # m and rad
+_TINY = 1e-7
+_ROUNDED = np.radians(0.01)  # of angles in a list
+
+
+@dataclass(frozen=True, eq=False)
+class Reading:
+    """One way to read a robot's poses. words: what it takes them for. inverted: whether they are hand_T_base. scale: m
+    in their unit of length. poses: base_T_hand (N,), metres. fit: hand and eye of them.
+    """
+
+    words: str
+    inverted: bool
+    scale: float
+    poses: Poses
+    fit: HandEye
+
+
+def read_robot(
+    candidates: Sequence[tuple[str, Poses]],
+    camera: Poses,
+    scales: Sequence[float],
+    directions: Sequence[bool],
+    in_hand: bool,
+) -> tuple[Reading, ...]:
+    """Return the readings of a robot's poses, the likeliest first.
+
+    candidates: forms by their names, with poses (N,) in the unit of the file; camera: camera_T_board of the same
+    moments. scales: the lengths that the unit may have. directions: whether the poses may be hand_T_base.
+    """
+    mismatches = [angle_mismatch(poses, camera) for _, poses in candidates]
+    best = min(mismatches)
+    likely = [
+        candidate
+        for candidate, mismatch in zip(candidates, mismatches, strict=True)
+        if mismatch <= _BETTER * best + _TINY
+    ]
+    readings = []
+    for words, poses in likely:
+        for scale in scales:
+            scaled = replace(poses, translations=poses.translations * scale)
+            for inverted in directions:
+                known = scaled.inverse() if inverted else scaled
+                readings.append(Reading(words, inverted, scale, known, closed_form(_carrier(known, in_hand), camera)))
+    return tuple(sorted(readings, key=lambda own: own.fit.score))
+
+
+def _carrier(base_T_hand: Poses, in_hand: bool) -> Poses:
+    return base_T_hand if in_hand else base_T_hand.inverse()
+
+
+def fits_better(own: HandEye, other: HandEye) -> bool:
+    """Return whether another reading fits so much better that the first one is a mistake."""
+    return own.score > _BETTER * other.score + _TINY
+
+
+def shift_of(candidates: Sequence[tuple[str, Poses]], camera: Poses) -> int:
+    """Return by how many places the list of poses is shifted against the images, 0 if it is not."""
+    count = len(camera.rotations)
+    found = {}
+    for shift in (0, *_SHIFTS) if count > LEAST_POSES + 2 else (0,):
+        rows = np.arange(max(0, -shift), min(count, count - shift))
+        seen = camera.take(rows)
+        found[shift] = min(angle_mismatch(poses.take(rows + shift), seen) for _, poses in candidates)
+    best = min(found, key=lambda shift: found[shift])
+    return best if found[0] > _BETTER * found[best] + _ROUNDED else 0
+
+
+def undetermined_axis(poses: Poses) -> Array | None:
+    """Return the axis (3,) in the hand's frame that it turned about, if it turned about hardly any other; zeros if it
+    hardly turned at all; None if it turned about two.
+    """
+    turns = so3.log(motions(poses, pairs_of(len(poses.rotations))).rotations)
+    if np.linalg.norm(turns, axis=1).max(initial=0.0) < _LEAST_TURN:
+        return np.zeros(3)
+    values, vectors = np.linalg.eigh(turns.T @ turns)
+    return np.asarray(vectors[:, 2]) if np.sqrt(max(values[1], 0.0) / values[2]) < _AXES else None
+
+
+def moved_from(fit: HandEye) -> int | None:
+    """Return from which pose on the board stands elsewhere than before, in what it stands still in; None for none.
+
+    Of all places to divide the list the one with the largest F of the difference of the means.
+    """
+    places, count = fit.boards, len(fit.boards)
+    best, place = 0.0, None
+    for first in range(_BLOCK, count - _BLOCK + 1):
+        parts = places[:first], places[first:]
+        within = sum(float(np.sum((part - part.mean(axis=0)) ** 2)) for part in parts) / (3 * (count - 2)) + _TINY**2
+        apart = float(np.sum((parts[0].mean(axis=0) - parts[1].mean(axis=0)) ** 2))
+        ratio = apart / (3 * within * (1 / first + 1 / (count - first)))
+        if ratio > best and apart > _APART**2 * within:
+            best, place = ratio, first
+    return place if best > _MOVED else None
+
+
+def duplicates(poses: Poses) -> int:
+    """Return how many poses are the same as one before."""
+    apart = np.linalg.norm(poses.translations[:, None] - poses.translations[None], axis=2)
+    turned = np.linalg.norm(so3.log(poses.rotations[:, None].swapaxes(-1, -2) @ poses.rotations[None]), axis=2)
+    same = (apart < _SAME[0]) & (turned < _SAME[1])
+    return int(np.triu(same, 1).any(axis=0).sum())

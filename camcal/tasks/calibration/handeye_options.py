@@ -1,0 +1,84 @@
+"""The options of `camcal handeye`."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from camcal.options import INPUT, METHOD, Argument, Option, OptionsRecord, Without
+from camcal.raw.options import AS_IMAGES, ImageReadOptions
+from camcal.tasks.calibration.options import BEST_FRAMES, FrameOptions, ImageSize
+from camcal.tasks.options import BOARD_OPTION, CAMERA_FILE, Jobs, Overwrite, Recursive, result_option
+
+if TYPE_CHECKING:
+    from camcal.targets.board import Board
+
+BASE_T_HAND, HAND_T_BASE = "base_T_hand", "hand_T_base"
+UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
+
+
+@dataclass(frozen=True)
+class HandEyeOptions(OptionsRecord):
+    """A camera file, FILE or FILE#NAME, images of a board, and the poses of the robot that they were taken at.
+
+    robot_form, robot_frames, robot_unit: how the poses are written, None for what the images tell. eye_to_hand: whether
+    the board is in the hand, and the camera stands still. free_lens: whether the lens is estimated, too.
+    """
+
+    camera: Annotated[str, Argument("Camera file, or FILE#NAME.", metavar="CAMERA", required=True)] = ""
+    inputs: Annotated[
+        tuple[str, ...],
+        Argument("Images, videos, folders, globs; or a detections file.", metavar="IMAGES…|DETECTIONS", required=True),
+    ] = ()
+    robot: Annotated[
+        Path | None,
+        Option(
+            "Poses of the robot's hand, one for each image: by the names of images, or in their order.",
+            metavar="POSES",
+            group=INPUT,
+            required=True,
+        ),
+    ] = None
+    output: Annotated[Path | None, result_option(CAMERA_FILE)] = None
+    board: Annotated["Board | str | None", BOARD_OPTION] = None
+    eye_to_hand: Annotated[
+        bool, Option("The camera stands still, and the hand holds the board; by default it holds the camera.")
+    ] = False
+    robot_form: Annotated[
+        str | None,
+        Option(
+            "How a pose is written: matrix, quat:wxyz, ros, rvec, euler:ZYX:deg, …; by default what fits the images.",
+            metavar="FORM",
+            group=INPUT,
+        ),
+    ] = None
+    robot_frames: Annotated[
+        str | None,
+        Option(
+            "Which way the poses are; by default what fits the images.",
+            metavar=f"{BASE_T_HAND}|{HAND_T_BASE}",
+            group=INPUT,
+            choices=(BASE_T_HAND, HAND_T_BASE),
+        ),
+    ] = None
+    robot_unit: Annotated[
+        str | None,
+        Option(
+            "Unit of the poses' lengths; by default what fits the images.",
+            metavar="|".join(UNITS),
+            group=INPUT,
+            choices=tuple(UNITS),
+        ),
+    ] = None
+    free_lens: Annotated[
+        bool,
+        Option(
+            "Estimate the lens too, from these images alone; by default it is known as well as its file says.",
+            group=METHOD,
+        ),
+    ] = False
+    image_size: ImageSize = None
+    recursive: Recursive = False
+    jobs: Jobs = None
+    reading: Annotated[ImageReadOptions, Without(("colours",))] = AS_IMAGES
+    frames: FrameOptions = BEST_FRAMES
+    overwrite: Overwrite = False
