@@ -18,7 +18,7 @@ from camcal import files, system
 from camcal.errors import FileError, InvalidInput
 from camcal.formats.cameras.record import name_of_topic
 from camcal.images.image import RAW_SUFFIXES, conversion_advice
-from camcal.images.videos import SUFFIXES, address_of, file_of, is_video
+from camcal.images.videos import BAG_SUFFIXES, SUFFIXES, address_of, file_of, is_video
 from camcal.parsing import in_one_line, nearest
 from camcal.run.outputs import listed
 
@@ -54,22 +54,21 @@ def find_media(inputs: Sequence[Path | str], recursive: bool = False, also: Abst
     given: dict[Path, int] = {}
     for place, text in enumerate(inputs):
         for path in _expand(str(text), recursive, known):
-            if address_of(path) is not None:
+            if path.suffix.lower() in BAG_SUFFIXES or "#" in str(path) or path.is_dir():  # all that may be a bag
                 from camcal.images.bag import addressed  # here, since it decodes images
 
-                given.setdefault(addressed(path), place)
-            else:
-                given.setdefault(path, place)
+                path = addressed(path)  # noqa: PLW2901
+            given.setdefault(path, place)
     ordered = sorted(given, key=_natural_path)
     first: dict[Path, Path] = {}  # names of files, by what they are: the first name in the first input that has one
     for path in sorted(ordered, key=given.__getitem__):
         first.setdefault(path.resolve(), path)
     chosen = set(first.values())
     paths = [path for path in ordered if path in chosen]
+    videos = [path for path in paths if path.suffix.lower() in SUFFIXES or ("#" in str(path) and is_video(path))]
     for path in paths:
-        files.note_read(file_of(path))
-    videos = tuple(path for path in paths if is_video(path))
-    return Media(images=tuple(path for path in paths if path not in videos), videos=videos)
+        files.note_read(file_of(path) if path in videos else path)
+    return Media(images=tuple(path for path in paths if path not in videos), videos=tuple(videos))
 
 
 def find_images(
@@ -127,15 +126,15 @@ def split_address(text: str) -> tuple[Path, str | None]:
 def _expand(text: str, recursive: bool, known: AbstractSet[str]) -> list[Path]:
     path = Path(text)
     try:
-        if address_of(path) is not None:
-            require_there(file_of(path))
-            return [path]
-        if path.is_dir():
+        if path.is_dir() and address_of(path) is None:
             return _in_folder(path, recursive, known)
         if path.exists():
             return [path]
     except OSError as error:  # such as a name that is too long
         raise FileError(f"cannot be read: {error.strerror}", where=str(error.filename or text)) from error
+    if address_of(path) is not None:
+        require_there(file_of(path))
+        return [path]
     if glob.has_magic(text):
         return _matching(text, known)
     raise FileError(_missing(path), where=text)

@@ -66,6 +66,18 @@ def test_a_file_of_transforms_needs_some_and_is_not_read(tmp_path, name):
         cameras.read(write(tmp_path / name))
 
 
+def test_a_camera_on_a_hand_hangs_on_the_hand_and_what_is_not_joined_is_said(tmp_path):
+    file = CameraFile(
+        {"camera": CameraEntry(LENS)}, {"hand_T_camera": Transform(IMU_T_LEFT), "base_T_board": Transform(RIGHT_T_LEFT)}
+    )
+    cameras.write(tmp_path / "hand.urdf", file, cameras.FORMATS["urdf"])
+    (joint,) = ET.parse(tmp_path / "hand.urdf").getroot().iter("joint")
+    assert (joint.find("parent").get("link"), joint.find("child").get("link")) == ("hand", "camera_optical_frame")
+    xyz = np.array(joint.find("origin").get("xyz").split(), float)
+    np.testing.assert_allclose(xyz, IMU_T_LEFT.translation, atol=1e-12)
+    assert cameras.left_out(file, cameras.FORMATS["urdf"]) == ("base_T_board",)
+
+
 def channels(path, names, shape):
     rows = path.read_bytes()[-shape[0] * (8 + 4 * shape[1] * len(names)) :]
     values = np.frombuffer(rows, np.uint8).reshape(shape[0], -1)[:, 8:]

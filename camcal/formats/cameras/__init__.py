@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from camcal import files
 from camcal.cameras.model import Camera
 from camcal.errors import CamcalError, FileError, InvalidInput
-from camcal.formats.camera_file import CameraEntry, CameraFile
+from camcal.formats.camera_file import CameraEntry, CameraFile, pose_between
 from camcal.formats.cameras.recognition import ROWS, Row, named, recognise
 from camcal.formats.cameras.record import ANY_FRAME, CameraFormat, Given, Source, name_of_topic
 from camcal.formats.native import implausible
@@ -257,7 +257,12 @@ def _left_out(file: CameraFile, form: CameraFormat) -> Iterator[str]:
     }
     yield from (name for name, there in held.items() if there and name not in form.keeps)
     every = [frame for name in file.transforms for frame in frames_of(name)]
-    for name in file.transforms if form.frames != ANY_FRAME else ():
+    if form.frames == ANY_FRAME:
+        first = next(iter(file.cameras))
+        loose = (name for name in file.transforms if first not in frames_of(name))
+        yield from (name for name in loose if pose_between(file, first, frames_of(name)[0]) is None)
+        return
+    for name in file.transforms:
         ends = [frame for frame in frames_of(name) if every.count(frame) == 1]
         if any(frame not in file.cameras and frame not in form.frames for frame in ends):
             yield name

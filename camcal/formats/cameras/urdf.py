@@ -23,11 +23,14 @@ _ABOUT_FIXED_AXES = rotation.EulerOrder("xyz", intrinsic=False)
 def frames_in_root(path: Path, file: CameraFile) -> tuple[str, dict[str, Pose]]:
     """Return the name of the frame that all others of a file hang on, and root_T_frame of these, by ROS's names.
 
-    Raises InvalidInput where transforms do not join the cameras, or there are none.
+    That is the rig's, or what a single camera is mounted on, such as a hand. Raises InvalidInput where transforms do
+    not join the cameras, or there are none.
     """
     names = {name: f"{name}{OPTICAL}" for name in file.cameras}
     rig, root = rig_of(file, str(path))
     every = dict.fromkeys((*rig.cameras, *(frame for name in file.transforms for frame in frames_of(name))))
+    if len(file.cameras) == 1:
+        root = next((each for each in every if each != root and pose_between(file, each, root) is not None), root)
     poses = {frame: pose_between(file, root, frame) for frame in every if frame != root}
     if not poses:
         raise InvalidInput("has no transforms: such a file says where cameras stand", where=str(path))
