@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -10,6 +10,8 @@ from camcal.arrays import Array
 from camcal.cameras.directions import grid_pixels, projection_covariances
 from camcal.cameras.lens import CameraModel
 from camcal.cameras.model import Camera
+from camcal.cameras.spline import CUBIC, SplinedStereographic
+from camcal.cameras.spline_modes import reduced_spline
 from camcal.cameras.validity import ImageCircle
 from camcal.errors import InsufficientData
 from camcal.solve.dense import DenseMethod, minimise_dense
@@ -20,6 +22,7 @@ _FITTED, _CHECKED = 31, 101  # rays a side of the image
 _BESIDE = 0.5  # px from the edges of the image that still belong to it
 _SMALL = 1e-4  # rad from the axis, where the focal lengths are taken
 _PARTS = (0.3, 0.6, 1.0)  # of the largest angle from the axis: a lens is fitted from its middle outwards
+_KNOTS, _MARGIN = 24, 1.02  # of a spline: across the longer side, and how far beyond the outermost ray
 _CLOSER, _ROUNDS = 12, 2  # the farthest place is looked for between the rays in so many steps, so many times
 
 
@@ -61,12 +64,35 @@ def refit(camera: Camera, model: CameraModel, region: Region = _WHOLE) -> Refit:
     if 2 * len(rays) < len(model.parameter_names):
         raise InsufficientData(f"the lens has a ray for {len(rays)} of {_FITTED**2} pixels; none can be fitted to it")
     weights = _weights(camera, pixels)
+    if isinstance(model, SplinedStereographic):
+        spline = reduced_spline(camera, rays, weights, _covering(model, rays))
+        own = Camera(spline.spline, camera.image_size, spline.knots_of(spline.start_values))
+        jacobian = spline.basis[:, : len(camera.parameters)]
+        return _compare(camera, _with_covariance(own, camera, jacobian), jacobian, region)
     found = min(_fits(camera, model, rays, pixels, weights), key=lambda fit: fit[0], default=None)
     if found is None:
         raise InsufficientData(f"{model.name} has no place for the rays of this lens")
     jacobian = _sensitivity(camera, model, found[1], rays, weights)
-    covariance = None if camera.covariance is None else jacobian @ camera.covariance @ jacobian.T
-    return _compare(camera, Camera(model, camera.image_size, found[1], covariance), jacobian, region)
+    own = Camera(model, camera.image_size, found[1])
+    return _compare(camera, _with_covariance(own, camera, jacobian), jacobian, region)
+
+
+def _with_covariance(fitted: Camera, camera: Camera, jacobian: Array) -> Camera:
+    """Return a fitted camera with the covariance that follows from that of a camera."""
+    if camera.covariance is None:
+        return fitted
+    return replace(fitted, covariance=jacobian @ camera.covariance @ jacobian.T)
+
+
+def _covering(model: SplinedStereographic, rays: Array) -> SplinedStereographic:
+    """Return a spline with knots over all rays (M, 3), the model itself where its knots are not the usual ones."""
+    if model != SplinedStereographic():
+        return model
+    reach = _MARGIN * np.abs(2 * rays[:, :2] / (1 + rays[:, 2:])).max(axis=0)
+    per_unit = (_KNOTS - CUBIC) / (2 * reach.max())
+    columns, rows = (int(np.ceil(2 * own * per_unit)) + CUBIC for own in reach)
+    fov = float(np.ceil(np.degrees(4 * np.arctan(reach[0] / 2))))
+    return SplinedStereographic(knots=(columns, rows), fov_x_deg=fov)
 
 
 def fit_lens(model: CameraModel, rays: Array, pixels: Array, start: Array) -> Array | None:

@@ -117,12 +117,11 @@ def _matlab(data: Mapping[str, Any]) -> _Told:
     told |= data
     pixels = np.array(told.get("imagePoints", [[[], []]]), float) - 1
     pixels = pixels.reshape(*pixels.shape[:2], -1)
-    points, metres = told.get("worldPoints") or told.get("WorldPoints"), 1e-3
-    if not points and pixels.size:
-        points = [divmod(number, int(told["boardSize"][0]) - 1) for number in range(len(pixels))]
+    world = told.get("worldPoints") or told.get("WorldPoints")
+    points = world or [divmod(number, int(told["boardSize"][0]) - 1) for number in range(len(pixels))]
     images = {f"image{1 + n:03d}": (np.array(points, float), pixels[..., n]) for n in range(pixels.shape[2])}
     size = told.get("imageSize") or told.get("ImageSize")
-    return images, size and (size[1], size[0]), metres if told.get("worldPoints") or told.get("WorldPoints") else None
+    return images, size and (size[1], size[0]), 1e-3 if world else None
 
 
 def _bouguet(data: Mapping[str, Any]) -> _Told:

@@ -5,6 +5,7 @@ import pytest
 from scipy.optimize import least_squares
 
 from camcal.cameras.catalogue import MODELS
+from camcal.cameras.directions import projection_covariances
 from camcal.cameras.model import Camera
 from camcal.cameras.refit import Region, refit
 from camcal.cameras.validity import ImageCircle
@@ -60,6 +61,9 @@ FISHEYE = Camera(
     [  # measured with another least-squares program
         (LENS, "opencv4", 180, 0.42, 3.7),
         (FISHEYE, "opencv8", 75, 0.001, 0.006),
+        (FISHEYE, "double_sphere", 100, 0.045, 0.37),
+        (FISHEYE, "eucm", 100, 0.032, 0.28),
+        (FISHEYE, "mei", 100, 0.018, 0.10),
     ],
 )
 def test_lenses_of_other_kinds_are_as_near_as_another_program_finds_them(lens, model, degrees, rms_px, max_px):
@@ -75,6 +79,18 @@ def test_the_largest_difference_holds_on_a_grid_three_times_finer(model):
     pixels = np.column_stack([axis.ravel() for axis in axes])
     apart = np.linalg.norm(found.camera.project(LENS.unproject(pixels).directions).pixels - pixels, axis=1)
     assert apart.max() <= found.max_px * (1 + 1e-4)
+
+
+@pytest.mark.parametrize(("lens", "most_px"), [(FISHEYE, 0.002), (LENS, 0.15)])
+def test_a_spline_is_near_any_lens_and_carries_its_covariance(lens, most_px):
+    known = Camera(lens.model, lens.image_size, lens.parameters, np.diag(np.abs(lens.parameters) * 1e-6 + 1e-9))
+    found = refit(known, MODELS["splined_stereographic"])
+    assert found.max_px < most_px
+    pixels = np.array([[100.0, 120.0], [250.0, 260.0], [400.0, 300.0]])
+    before, after = (
+        np.diagonal(projection_covariances(each, pixels), axis1=1, axis2=2) for each in (known, found.camera)
+    )
+    np.testing.assert_allclose(after, before, rtol=0.1)
 
 
 def test_the_covariance_is_that_of_refits_of_scattered_lenses():
