@@ -5,9 +5,13 @@ import pytest
 
 from camcal.calibrate.fit import ShapeOptions
 from camcal.calibrate.intrinsics import Options, calibrate
+from camcal.calibrate.rigs.calibrate import calibrate_rig
+from camcal.calibrate.rigs.record import Captures, RigOptions
 from camcal.cameras.catalogue import MODELS
 from camcal.cameras.directions import lens_difference
-from camcal.simulate.scene import make_camera, observe, views
+from camcal.cameras.model import Rig
+from camcal.geometry.pose import Pose
+from camcal.simulate.scene import captures, make_camera, observe, views
 from camcal.targets.board import Board
 
 SIZE, NOISE = (1280, 960), 0.15
@@ -68,3 +72,26 @@ def test_a_lens_whose_focal_length_is_a_quotient_is_not_refused_for_one_of_its_t
     lengths, stds = found.focal_lengths()
     assert (stds < 0.01 * lengths).all()
     assert (np.abs(lengths - truth.focal_lengths()[0]) < 4 * stds).all()
+
+
+def test_a_rig_has_cameras_of_different_models():
+    left, right = (make_camera(MODELS[name], SIZE, np.radians(150)) for name in ("double_sphere", "eucm"))
+    right_T_left = Pose.from_vector(np.array([0.01, -0.03, 0.005]), np.array([-0.12, 0.002, 0.004]))
+    rig = Rig({"left": left, "right": right}, {"left": Pose.identity(), "right": right_T_left.inverse()})
+    rng = np.random.default_rng(3)
+    poses = captures(rig, BOARD, 16, rng=rng)
+    rows = [
+        observe(own, BOARD, [rig.rig_T_camera[name].inverse() @ pose for pose in poses], rng=rng, noise_px=NOISE)[
+            0
+        ].views
+        for name, own in rig.cameras.items()
+    ]
+    seen = Captures(("left", "right"), tuple(map(str, range(16))), tuple(zip(*rows, strict=True)))
+    models = {name: own.model for name, own in rig.cameras.items()}
+    found = calibrate_rig(seen, BOARD, RigOptions(models, shape=RIGID))
+    for name, own in rig.cameras.items():
+        camera = found.calibrations[name].camera
+        errors = (camera.parameters - own.parameters) / np.sqrt(camera.covariance.diagonal())
+        assert camera.model is own.model
+        assert np.abs(errors).max() < 4.5
+    np.testing.assert_allclose(found.poses["right"].translation, right_T_left.translation, atol=5e-4)

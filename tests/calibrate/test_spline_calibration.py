@@ -16,6 +16,9 @@ from camcal.cameras.model import Camera
 from camcal.cameras.spline_modes import ReducedSpline, reduced_spline
 from camcal.errors import InvalidInput
 from camcal.solve.differentiate import central_jacobian
+from camcal.tasks.calibration.calibrate import _solver_options
+from camcal.tasks.calibration.options import CalibrateOptions
+from camcal.tasks.rigs.rig_lenses import _asked
 
 FLAT = ShapeOptions(smooth=False, offsets=False)
 SPLINED = MODELS["splined_stereographic"]
@@ -158,3 +161,12 @@ def test_modes_share_nothing_with_base_and_rotations_over_the_corners():
     found = reduced.project_with_jacobians(reduced.start_values, corners).d_parameters.reshape(8000, -1)
     found = found / np.linalg.norm(found, axis=0)
     assert np.abs(found[:, :8].T @ found[:, 8:]).max() < 1e-3  # the spline is the base to 1e-3
+
+
+def test_colours_and_rigs_are_refused_in_one_line(tmp_path):
+    options = CalibrateOptions((str(tmp_path),), tmp_path / "a.yaml", "chessboard:9x6", model="splined")
+    options = replace(options, reading=replace(options.reading, colours=True))
+    with pytest.raises(InvalidInput, match="--channels: lenses of single colours are not splined_stereographic"):
+        _solver_options(options, None)
+    with pytest.raises(InvalidInput, match="--model splined: a spline is calibrated by camcal calibrate"):
+        _asked(["splined"], ["left", "right"])

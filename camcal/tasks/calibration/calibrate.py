@@ -14,7 +14,7 @@ from camcal.calibrate.intrinsics import Calibration, CandidateModel
 from camcal.calibrate.several_cameras import name_groups
 from camcal.cameras.catalogue import DEFAULT_MODEL, model_named
 from camcal.cameras.validity import ImageCircle
-from camcal.errors import GateFailed, InsufficientData, NotConverged
+from camcal.errors import GateFailed, InsufficientData, InvalidInput, NotConverged
 from camcal.formats import cameras, detections, native, native_entry
 from camcal.formats.camera_file import (
     CameraEntry,
@@ -223,8 +223,11 @@ def _guess(options: CalibrateOptions, progress: Progress) -> CameraEntry | None:
 
 
 def _solver_options(options: CalibrateOptions, guess: CameraEntry | None) -> intrinsics.Options:
+    model = model_named(options.model or DEFAULT_MODEL)
+    if model.configuration and options.reading.colours:
+        raise InvalidInput(f"--channels: lenses of single colours are not {model.name}; give another --model")
     return intrinsics.Options(
-        model_named(options.model or DEFAULT_MODEL),
+        model,
         options.fix,
         None if guess is None else guess.camera,
         ShapeOptions(smooth=not options.flat_board, offsets=options.free_corners),
