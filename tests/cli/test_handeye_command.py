@@ -114,6 +114,18 @@ def test_what_is_wrong_with_poses_is_named_and_the_remedy_helps(handeye, folder,
         assert handeye(arguments[0], *said.removeprefix("give ").split())[0] == 0
 
 
+def test_a_free_lens_is_written_as_it_was_estimated(run, folder, monkeypatch):
+    monkeypatch.chdir(folder)
+    other = Camera(LENS.model, LENS.image_size, LENS.parameters * [1.005, 1.005, 1, 1, 1, 1, 1, 1], LENS.covariance)
+    native.write(folder / "off.yaml", CameraFile({"camera": CameraEntry(other, noise=CalibrationNoise(0.1))}))
+    command = ["handeye", "off.yaml", "seen.csv", "--robot", "robot.csv", "-o", "free.yaml", "--overwrite"]
+    assert run(*command)[0] == 0
+    assert cameras.read_camera(folder / "free.yaml").value("fx") == pytest.approx(other.value("fx"))
+    assert run(*command, "--free-lens")[0] == 0
+    found = cameras.read_camera(folder / "free.yaml")
+    assert abs(found.value("fx") - 1100) < 4 * found.std("fx") < 8
+
+
 def test_images_of_another_camera_and_poses_of_other_moments_are_told(run, handeye, folder, monkeypatch):
     monkeypatch.chdir(folder)
     other = Camera(LENS.model, LENS.image_size, LENS.parameters * [0.6, 0.6, 1, 1, 2, 1, 1, 1], LENS.covariance)

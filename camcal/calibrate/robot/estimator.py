@@ -36,14 +36,16 @@ _SCALE = 1.4826
 class RobotEstimate:
     """Hand and eye.
 
-    carrier_T_rig, world_T_board: see RobotProblem. covariance: (12, 12) of the steps of both. sigmas: the robot's noise
-    of a coordinate, m and rad; dof: the degrees of freedom that they were estimated with. residuals: (N, 6) of
-    base_T_hand, m and rad. weights: (N,). scatter: the variance from pose to pose over what the noise says.
+    carrier_T_rig, world_T_board: see RobotProblem. covariance: (12, 12) of the steps of both; lens_covariance: (F, F)
+    of the free lens parameters of all cameras. sigmas: the robot's noise of a coordinate, m and rad; dof: the degrees
+    of freedom that they were estimated with. residuals: (N, 6) of base_T_hand, m and rad. weights: (N,). scatter: the
+    variance from pose to pose over what the noise says.
     """
 
     problem: RobotProblem
     state: RobotState
     covariance: Array
+    lens_covariance: Array
     sigmas: tuple[float, float]
     dof: tuple[float, float]
     residuals: Array
@@ -114,6 +116,7 @@ def _estimate(problem: RobotProblem, state: RobotState) -> RobotEstimate:
         problem,
         solution.state,
         covariance,
+        factors.shared_covariance()[: problem.rig.lens_starts[-1], : problem.rig.lens_starts[-1]],
         sigmas=problem.robot.sigmas,
         dof=(float(dof[0]), float(dof[1])),
         residuals=residuals,

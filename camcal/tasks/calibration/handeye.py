@@ -1,7 +1,8 @@
 """`camcal handeye`: where a camera stands on a robot's hand, or beside it, with the noise of the robot itself."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from math import inf
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +26,7 @@ from camcal.calibrate.robot.start import Poses
 from camcal.cameras.observations import Observations
 from camcal.errors import InsufficientData, InvalidInput, NotConverged
 from camcal.formats import cameras, native, provenance, robot_poses
-from camcal.formats.camera_file import CameraFile, JointCovariance, Transform
+from camcal.formats.camera_file import CameraEntry, CameraFile, JointCovariance, Transform
 from camcal.formats.pose_text import Form, form_named
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
@@ -101,7 +102,8 @@ def handeye(options: HandEyeOptions, progress: Progress = SILENT) -> HandEyeRepo
     rows = robot_poses.read(options.robot)
     views, places = _matched(seen.detections.views, rows, str(options.robot))
     same = file.board_shape is not None and file.board_shape.board == seen.board
-    shape = KnownBoard(file.board_shape, 20.0) if same and file.board_shape else KnownBoard(Surface.flat(seen.board))
+    used = float(entry.quality.get("images_used") or provenance.image_counts(file.provenance)[0] or inf)
+    shape = KnownBoard(file.board_shape, used) if same and file.board_shape else KnownBoard(Surface.flat(seen.board))
     sigma = 0.0 if entry.noise is None else entry.noise.sigma_px
     known = KnownCamera(entry.camera, sigma, Observations.of(views), np.arange(len(views)))
     warnings: tuple[Message, ...] = ()
@@ -149,7 +151,7 @@ def handeye(options: HandEyeOptions, progress: Progress = SILENT) -> HandEyeRepo
         warnings,
     )
     written = CameraFile(
-        {name: entry},
+        {name: _with_lens(entry, estimate, known.free) if options.free_lens else entry},
         transforms,
         joint,
         provenance=provenance.build(
@@ -158,6 +160,15 @@ def handeye(options: HandEyeOptions, progress: Progress = SILENT) -> HandEyeRepo
     )
     native.write(options.output, written)
     return report
+
+
+def _with_lens(entry: CameraEntry, estimate: RobotEstimate, free: Array) -> CameraEntry:
+    """Return a camera with the lens as it was estimated with the robot, without what was known of the one before."""
+    before = entry.camera
+    covariance = np.zeros((len(before.parameters),) * 2)
+    covariance[np.ix_(free, free)] = estimate.lens_covariance
+    camera = replace(before, parameters=estimate.state.rig.lenses[0], covariance=covariance)
+    return CameraEntry(camera, entry.valid, noise=entry.noise, sensor=entry.sensor, extra=entry.extra)
 
 
 def _used_before(file: CameraFile, views: Sequence[BoardDetection]) -> int:
