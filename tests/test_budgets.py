@@ -17,7 +17,7 @@ LINES = {
     "__init__": 37,
     "__main__": 6,
     "arrays": 42,
-    "calibrate": 8622,
+    "calibrate": 8625,
     "cameras": 3973,
     "cli": 3688,
     "errors": 137,
@@ -42,10 +42,10 @@ LINES = {
     "stereo": 5116,
     "system": 281,
     "targets": 7063,
-    "tasks": 24205,
+    "tasks": 24216,
     "urls": 99,
 }
-PARTS = {"modules": 477, "records": 713, "records named in one module": 218, "short functions with one reference": 507}
+PARTS = {"modules": 477, "records": 713, "records named in one module": 218, "short functions with one reference": 508}
 PASSED = {"modules": 157, "functions": 1172, "records": 144}  # from a table of detections to a camera file
 SHORT = 5  # lines of a function's body, which could as well stand where it is called
 

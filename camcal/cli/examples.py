@@ -119,10 +119,10 @@ _CALLS = {  # a comment with the purpose above each call, as in a shell
         advise rig.yaml#left --views 5 --json
     """,
     "handeye": """
-        # A camera on the hand, poses by the names of images
-        handeye camera.yaml images/ --robot poses.csv --board chessboard:9x6:25mm -o hand.yaml
-        # The board in the hand, poses in millimetres and degrees as the robot shows them
-        handeye camera.yaml images/ --robot poses.txt --eye-to-hand --robot-form euler:ZYX:deg -o base.yaml
+        # Where the camera stands on the hand, poses by the names of images
+        handeye camera.yaml images/ --robot poses.csv -o hand.yaml
+        # Where it stands beside the robot, with the board in the hand
+        handeye camera.yaml images/ --robot poses.txt --eye-to-hand -o base.yaml
         # The lens estimated too, from these images alone
         handeye camera.yaml images/ --robot poses.csv --free-lens -o hand.yaml
     """,
