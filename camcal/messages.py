@@ -69,6 +69,12 @@ CODES: Mapping[str, Mapping[str, str]] = {
         "same_images": "two cameras have the same images",
         "left_right_swapped": "the camera called left is the right one",
         "unlinked_camera": "no capture links a camera to the others, or it could not be calibrated",
+        "too_few_timed_views": "too few images of a moving board tell the times of a camera",
+        "no_common_motion": "two cameras see no motion of the board in common",
+        "several_time_offsets": "the motion of the board repeats itself: several time offsets fit",
+        "undetermined_time_offset": "the motion of the board does not determine a time offset",
+        "undetermined_readout_time": "the motion of the board does not determine a readout time",
+        "motion_too_fast": "the board moves too fast for the frame rate, or the time stamps are wrong",
         "exposure_motion": "the board moved between the exposures of a capture",
     },
     "Calibration": {

@@ -25,6 +25,7 @@ from camcal.progress import SILENT, Progress, stage, warn_of
 from camcal.quality.projection_uncertainty import ProjectionUncertainty, too_uncertain
 from camcal.raw.reading import COLOURS
 from camcal.report.calibration import as_data, candidates_data, uncertainty_data
+from camcal.report.times import time_data
 from camcal.run.journal import journal_beside
 from camcal.run.outputs import writes
 from camcal.run.paths import split_address
@@ -35,7 +36,8 @@ from camcal.tasks.calibration.camera_result import CalibrateReport, Channel, cam
 from camcal.tasks.calibration.corner_refinement import RefinementSummary, is_located, is_refined, refine_corners
 from camcal.tasks.calibration.image_circle_of_views import circle_lines, known_circle, with_circle
 from camcal.tasks.calibration.model_selection import Selection, brief_calibration, solve
-from camcal.tasks.calibration.options import CalibrateOptions
+from camcal.tasks.calibration.options import CalibrateOptions, FrameOptions
+from camcal.tasks.calibration.rolling_shutter import solve_at_once, with_frame_times
 from camcal.tasks.calibration.video_frames import as_data as frame_data
 from camcal.tasks.figure_files import figure_data, write_figures
 
@@ -52,7 +54,9 @@ def calibrate(options: CalibrateOptions, progress: Progress = SILENT) -> Calibra
 
 def seen_of(options: CalibrateOptions, board: Board | str | None, progress: Progress = SILENT) -> BoardViews:
     """Return what the inputs show of a board, see `board_views`; corners that the lens helps to measure are located."""
-    return board_views(
+    if options.rolling_shutter:
+        options = replace(options, frames=FrameOptions(every=options.frames.every, whole=True))
+    seen = board_views(
         options.inputs,
         board,
         progress=progress,
@@ -62,6 +66,7 @@ def seen_of(options: CalibrateOptions, board: Board | str | None, progress: Prog
         batch=options.batch,
         locate=is_located(options.refine, options.reading, mixed_sizes=options.mixed_sizes),
     )
+    return with_frame_times(seen, options.timing, progress) if options.rolling_shutter else seen
 
 
 def calibrated(
@@ -92,13 +97,13 @@ def calibrated(
     solve_seen = partial(
         solve, board=seen.board, options=how, circle=circle, choose=options.model is None, progress=progress
     )
+    brief = partial(brief_calibration, board=seen.board, options=how, circle=circle, choose=options.model is None)
+    if options.rolling_shutter:
+        solve_seen = partial(solve_at_once, brief=brief, solve=solve_seen, circle=circle, progress=progress)
     refinement: RefinementSummary | None = None
     found: tuple[Message, ...] = ()
     try:
         if refined:
-            brief = partial(
-                brief_calibration, board=seen.board, options=how, circle=circle, choose=options.model is None
-            )
             seen, selection, refinement, found = _refine(seen, brief, solve_seen, options, progress)
         else:
             selection = solve_seen(seen.detections.views)
@@ -117,7 +122,9 @@ def calibrated(
         detections.write(options.save_detections, seen.detections)
     colours = COLOURS if options.reading.colours else ()
     channels = {colour: _channel(calibration, colour, seen.detections.views) for colour in colours}
-    file = camera_file(calibration, assessment, options.name, words, channels=channels, circle=circle)
+    file = camera_file(
+        calibration, assessment, options.name, words, channels=channels, circle=circle, times=selection.times
+    )
     figures = _write_figures(options, calibration, assessment.uncertainty, selection.candidates, circle)
     if options.output is not None:
         with stage(progress, "writing"):
@@ -138,6 +145,7 @@ def calibrated(
         frames=seen.frames,
         candidates=selection.candidates,
         figures=figures,
+        times=selection.times,
     )
     if options.report is not None:
         from camcal.tasks.reports.pages import write
@@ -243,6 +251,7 @@ def document(report: CalibrateReport, options: CalibrateOptions) -> dict[str, An
         **as_data(report.calibration),
         "uncertainty": uncertainty_data(report.uncertainty),
         "image_circle": native_entry.circle_block(report.file.cameras[options.name].image_circle),
+        "times": None if report.times is None else time_data(*report.times.cameras.values()),
         "refinement": None if report.refinement is None else vars(report.refinement),
         "trustworthy": report.assessment.trustworthy,
         "region": {**vars(report.assessment.region), "polygon": report.assessment.region.polygon.round(2).tolist()},

@@ -7,6 +7,7 @@ from functools import cache
 from camcal.calibrate import intrinsics
 from camcal.calibrate.fit import CalibrationFit, ShapeOptions
 from camcal.calibrate.intrinsics import Calibration, CandidateModel, FittedModel, compare_models
+from camcal.calibrate.timing.record import TimeCalibration
 from camcal.cameras.catalogue import DEFAULT_MODEL, WIDE_MODEL, model_named
 from camcal.cameras.validity import ImageCircle
 from camcal.errors import CamcalError, InsufficientData, InvalidInput, NotConverged
@@ -46,7 +47,8 @@ _FAILURES = (InvalidInput, InsufficientData, NotConverged)
 class Selection:
     """A calibration with its assessment, and the models that it was chosen from: none where the model was given.
 
-    warnings: where the best model could not be used. lines: why another one than the default is used.
+    warnings: where the best model could not be used. lines: why another one than the default is used. times: when rows
+    were taken, where that was estimated.
     """
 
     calibration: Calibration
@@ -54,6 +56,7 @@ class Selection:
     candidates: tuple[CandidateModel, ...] = ()
     warnings: tuple[Message, ...] = ()
     lines: tuple[str, ...] = ()
+    times: TimeCalibration | None = None
 
 
 def solve(
