@@ -15,7 +15,6 @@ from camcal.geometry.frame_graph import Loop
 from camcal.geometry.pose import NamedTransform, Pose
 from camcal.quality.rig_geometry import PairGeometry, baseline, rotation_angle
 from camcal.report.table import Column, number_text, value_and_std, values_and_stds
-from camcal.report.times import time_lines
 
 _PLACES = 6  # of metres, degrees and quaternions of no known uncertainty
 _QUATERNION = ("qw", "qx", "qy", "qz")
@@ -182,7 +181,6 @@ def lines(calibration: RigCalibration) -> Iterator[str]:
         yield f"Epipolar error {calibration.epipolar_rms_px:.3f} px RMS"
     if calibration.motion is not None:
         yield motion_words(calibration.motion)
-    yield from time_lines(calibration.times)
     for name, why in calibration.unlinked.items():
         yield f"not linked: {name}: {why}"
 

@@ -8,7 +8,6 @@ import numpy as np
 from camcal.arrays import FloatArray
 from camcal.calibrate.fit import CalibrationFit, ShapeOptions
 from camcal.calibrate.intrinsics import Calibration
-from camcal.calibrate.timing.record import TimeCalibration
 from camcal.cameras.lens import CameraModel
 from camcal.cameras.model import Camera
 from camcal.errors import InvalidInput
@@ -109,7 +108,7 @@ class RigCalibration(Brief):
     calibrations: by the names of cameras, in their order; lens, views, residuals of each. poses: camera_T_first of the
     cameras that could be linked, the first of them at the identity. names: of the parameters of `covariance` (N, N):
     left.fx … of the lenses, then right_T_left.tx … .rz of the transforms (m and rad; see Pose.retract).
-    motion: None where the cameras exposed together. times: when they did, where that was estimated. unlinked: cameras that no capture links to the first one, and
+    motion: None where the cameras exposed together. unlinked: cameras that no capture links to the first one, and
     why. epipolar_rms_px: of the corners that two cameras saw, None without any; epipolar_by_capture: (C,) that of each
     of `captures`, NaN without any.
     """
@@ -120,7 +119,6 @@ class RigCalibration(Brief):
     covariance: FloatArray
     captures: tuple[str, ...]
     motion: ExposureMotion | None = None
-    times: TimeCalibration | None = None
     unlinked: Mapping[str, str] = field(default_factory=dict)
     epipolar_rms_px: float | None = None
     epipolar_by_capture: FloatArray = field(default_factory=lambda: np.zeros(0))

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from camcal import messages
 from camcal.calibrate.fit import ShapeOptions
@@ -20,7 +20,6 @@ from camcal.quality.assess import assess
 from camcal.quality.projection_uncertainty import too_uncertain
 from camcal.report.calibration import as_data, candidates_data, uncertainty_data
 from camcal.report.rig import motion_data, transform_data
-from camcal.report.times import times_data
 from camcal.run.journal import journal_beside
 from camcal.run.outputs import writes
 from camcal.tasks.calibration.corner_refinement import RefinementSummary, is_refined, refine_corners
@@ -39,7 +38,6 @@ from camcal.tasks.rigs.rig_lenses import (
     starting,
 )
 from camcal.tasks.rigs.rig_result import CameraResult, RigReport, rig_file
-from camcal.tasks.rigs.rig_times import synchronised, with_times
 from camcal.tasks.rigs.rig_views import RigViews, require_size, rig_views, with_circles
 
 
@@ -74,14 +72,6 @@ def calibrated(
         return _calibrate(look(), settings, command, progress)
 
 
-class _Solution(NamedTuple):
-    """The captures that a rig was calibrated from, the lens models, and the rig."""
-
-    views: RigViews
-    models: RigModels
-    calibration: RigCalibration
-
-
 def _calibrate(seen: RigViews, settings: RigSettings, command: Sequence[str], progress: Progress) -> RigReport:
     require_size(seen.board)
     names = seen.captures.cameras
@@ -98,36 +88,25 @@ def _calibrate(seen: RigViews, settings: RigSettings, command: Sequence[str], pr
     refinement: RefinementSummary | None = None
     found: tuple[Message, ...] = ()
 
-    def solve(views: RigViews) -> _Solution:
-        measured = views
-        if settings.timed:
-            with stage(progress, "times"):
-                lenses = brief_lenses(views.captures, views.board, settings, shape, circles)
-                views, _ = synchronised(measured, lenses, settings)
+    def solve(views: RigViews) -> tuple[RigModels, RigCalibration]:
         with stage(progress, "choosing lens models"):
             models = rig_models(views.captures, views.board, settings, given, shape, circles)
         with stage(progress, "solving"):
             how = _solver_options(settings, given, shape, models)
-            calibration = calibrate_rig(views.captures, views.board, how)
-        if settings.timed:
-            with stage(progress, "times"):
-                views, times = synchronised(measured, calibration.calibrations, settings)
-                calibration = with_times(calibrate_rig(views.captures, views.board, how), times)
-        return _Solution(views, models, calibration)
+            return models, calibrate_rig(views.captures, views.board, how)
 
     try:
         if refined:
             with stage(progress, "solving briefly"):
                 lenses = brief_lenses(seen.captures, seen.board, settings, shape, circles)
-            seen, solution, refinement, found = _refine(seen, lenses, solve, settings, progress)
+            seen, (models, calibration), refinement, found = _refine(seen, lenses, solve, settings, progress)
         else:
-            solution = solve(seen)
+            models, calibration = solve(seen)
     except (InsufficientData, NotConverged) as error:
         _write_refusal(seen, settings, command, error, progress)
         raise
     if refined and settings.save_detections:
         detections.write(settings.save_detections, seen.detections())
-    seen, models, calibration = solution
     results = {
         name: CameraResult(assess(own, circles.get(name), models.candidates_of(name)), circles.get(name))
         for name, own in calibration.calibrations.items()
@@ -219,10 +198,10 @@ def _solver_options(
 def _refine(
     seen: RigViews,
     lenses: Mapping[str, Calibration],
-    solve: Callable[[RigViews], _Solution],
+    solve: Callable[[RigViews], tuple[RigModels, RigCalibration]],
     settings: RigSettings,
     progress: Progress,
-) -> tuple[RigViews, _Solution, RefinementSummary | None, tuple[Message, ...]]:
+) -> tuple[RigViews, tuple[RigModels, RigCalibration], RefinementSummary | None, tuple[Message, ...]]:
     """Return the views with their corners measured where calibrations expect them, what they lead to, what changed, and
     warnings. Views that a calibration cannot be made from then are measured as their images alone have them.
 
@@ -234,8 +213,7 @@ def _refine(
     try:
         solution = solve(better)
         if others:
-            found = solution.calibration.calibrations
-            rest = {name: found[name] for name in others & set(found)}
+            rest = {name: solution[1].calibrations[name] for name in others & set(solution[1].calibrations)}
             better, more = _measure(better, rest, settings, progress)
             summary = RefinementSummary(summary.added + more.added, summary.removed + more.removed)
             solution = solve(better)
@@ -274,7 +252,6 @@ def document(report: RigReport, settings: RigSettings) -> dict[str, Any]:
         },
         "epipolar_rms_px": calibration.epipolar_rms_px,
         "motion": motion_data(calibration.motion),
-        "times": times_data(calibration.times),
         "unlinked": dict(calibration.unlinked),
         "matched_by": report.views.matched.by,
         "largest_time_difference_s": report.views.matched.largest,

@@ -240,7 +240,10 @@ def survey_rig(
     tolerance: s, None for half of the shortest frame interval. Raises InvalidInput for several videos of a camera, or
     images beside them; FileError where no frames belong together.
     """
-    require_names([videos_alone(camera) for camera in cameras])
+    for camera in cameras:
+        if camera.images or camera.tables or len(camera.videos) != 1:
+            raise InvalidInput(f"camera {camera.name!r}: with videos, each camera has one and nothing else")
+    require_names([camera.videos[0] for camera in cameras])
     every = replace(options, every=1)
     found = {camera.name: surveyed(camera.videos[0], every, progress) for camera in cameras}
     times = _times(found)
@@ -256,13 +259,6 @@ def survey_rig(
         for column, (name, each) in enumerate(found.items())
     }
     return RigVideos(videos, instants, times, limit)
-
-
-def videos_alone(camera: CameraInputs) -> Path:
-    """Return the video of a camera; raises InvalidInput unless it has one and nothing else."""
-    if camera.images or camera.tables or len(camera.videos) != 1:
-        raise InvalidInput(f"camera {camera.name!r}: with videos, each camera has one and nothing else")
-    return camera.videos[0]
 
 
 def _times(found: Mapping[str, SurveyedVideo]) -> dict[str, Array]:

@@ -21,12 +21,12 @@ from camcal.tasks.calibration.corner_refinement import is_located
 from camcal.tasks.calibration.detect import search_board
 from camcal.tasks.calibration.image_circle_of_views import circle_lines, with_circle
 from camcal.tasks.calibration.mixed_sizes import same_size, usual_size
-from camcal.tasks.calibration.options import DetectOptions, FrameOptions
-from camcal.tasks.calibration.video_frames import FrameRecord, Video, require_names, summary, survey
+from camcal.tasks.calibration.options import DetectOptions
+from camcal.tasks.calibration.video_frames import FrameRecord, Video, summary
 from camcal.tasks.calibration.which_board import board_warnings, pattern_lines
 from camcal.tasks.poses.frame_times import frame_times
 from camcal.tasks.rigs.camera_inputs import SYNTAX, CameraInputs, cameras_of, split_by_name
-from camcal.tasks.rigs.matching import Matched, matched, settled_together, survey_rig, unmatched_words, videos_alone
+from camcal.tasks.rigs.matching import Matched, matched, settled_together, survey_rig, unmatched_words
 from camcal.tasks.rigs.options import AUTO, TIME, RigSettings
 
 
@@ -115,27 +115,16 @@ def captured(
             if seeing
             else "no image shows the board"
         )
-    if settings.timed:
-        result = _each_alone(seeing)
-    else:
-        result = matched(seeing, settings.match, settings.tolerance)
+    result = matched(seeing, settings.match, settings.tolerance)
     warnings = [
         Message("camera_without_board", f"camera {name}: none of {len(named[name])} images shows the board: left out")
         for name in blind
     ]
-    if result.unmatched and not settings.timed:
+    if result.unmatched:
         values = {"images": tuple(result.unmatched)}
         warnings.append(Message("unmatched_images", unmatched_words(result.unmatched), values))
     warn_of(warnings, progress)
-    return RigViews(board, result, warnings=tuple(warnings), lines=() if settings.timed else (result.line,))
-
-
-def _each_alone(views: Mapping[str, Sequence[BoardDetection]]) -> Matched:
-    """Return every view as a capture, until the times of the cameras are known."""
-    names = tuple(views)
-    own = [(name, view) for name in names for view in views[name]]
-    rows = tuple(tuple(view if name == each else None for each in names) for name, view in own)
-    return Matched(Captures(names, tuple(f"{name}/{place}" for place, (name, _) in enumerate(own)), rows), TIME)
+    return RigViews(board, result, warnings=tuple(warnings), lines=(result.line,))
 
 
 def _from_media(cameras: Sequence[CameraInputs], settings: RigSettings, progress: Progress) -> RigViews:
@@ -155,17 +144,16 @@ def _from_media(cameras: Sequence[CameraInputs], settings: RigSettings, progress
     require_findable(asked, partial=settings.parts)
     require_colours(asked, settings.reading)
     videos = None
-    every = _every_frame(cameras, settings, progress) if settings.timed else {}
-    if any(camera.videos for camera in cameras) and not settings.timed:
+    if any(camera.videos for camera in cameras):
         videos = survey_rig(cameras, settings.frames, settings.tolerance, progress)
     images = [path for camera in cameras for path in camera.images]
     locate = is_located(settings.refine, settings.reading, mixed_sizes=settings.mixed_sizes)
-    searched = list(videos.videos.values() if videos else every.values())
+    searched = list(videos.videos.values()) if videos else []
     found = search_board(asked, images, searched, options, progress, locate=locate)
     if found.nothing:
         raise found.nothing
     by_name = {view.image: view for view in found.views}
-    taken = _of_images(cameras, by_name, every, settings, progress)
+    taken = _of_images(cameras, by_name, settings, progress)
     records: tuple[FrameRecord, ...] = ()
     if videos is not None:
         own = {
@@ -191,9 +179,8 @@ def _from_media(cameras: Sequence[CameraInputs], settings: RigSettings, progress
         *(warning for each in sized.values() for warning in each.warnings),
     )
     warn_of(warnings, progress)
-    in_videos = tuple(videos.videos.values() if videos else every.values())
-    told = () if settings.timed else tuple(summary(video, records) for video in in_videos)
-    lines = (*pattern_lines(found.board, asked, found.views), *told)
+    in_videos = tuple(videos.videos.values()) if videos else ()
+    lines = (*pattern_lines(found.board, asked, found.views), *(summary(video, records) for video in in_videos))
     return replace(
         result,
         warnings=warnings + result.warnings,
@@ -204,49 +191,21 @@ def _from_media(cameras: Sequence[CameraInputs], settings: RigSettings, progress
     )
 
 
-def _every_frame(cameras: Sequence[CameraInputs], settings: RigSettings, progress: Progress) -> dict[str, Video]:
-    """Return the videos of cameras, one each, with all of their frames to be searched."""
-    paths = {camera.name: videos_alone(camera) for camera in cameras if camera.videos}
-    require_names(list(paths.values()))
-    whole = FrameOptions(every=settings.frames.every, whole=True)
-    return {name: survey(path, whole, progress) for name, path in paths.items()}
-
-
 def _of_images(
-    cameras: Sequence[CameraInputs],
-    by_name: Mapping[str, BoardDetection],
-    videos: Mapping[str, Video],
-    settings: RigSettings,
-    progress: Progress,
+    cameras: Sequence[CameraInputs], by_name: Mapping[str, BoardDetection], settings: RigSettings, progress: Progress
 ) -> dict[str, list[BoardDetection]]:
-    """Return the views of the images of every camera and of frames of videos, with their times where these are to be
-    used.
-    """
+    """Return the views of the images of every camera, with their times where these are to be used."""
     views = {
         camera.name: [by_name[name] for path in camera.images if (name := path.as_posix()) in by_name]
         for camera in cameras
     }
-    views |= {name: [by_name[each] for each in video.names if each in by_name] for name, video in videos.items()}
     timing = settings.timing
-    if settings.timed:
-        return {
-            name: _timed(own, [videos[name].path] if name in videos else [], settings, progress)
-            for name, own in views.items()
-        }
     if (timing.source is None and timing.fps is None) or settings.match not in (AUTO, TIME):
         return views
     for name, own in views.items():
         times = frame_times([view.image for view in own], [], timing, progress)
         views[name] = [replace(view, time=time) for view, time in zip(own, times.tolist(), strict=True)]
     return views
-
-
-def _timed(
-    views: Sequence[BoardDetection], videos: Sequence[Path], settings: RigSettings, progress: Progress
-) -> list[BoardDetection]:
-    """Return views with their times; raises InvalidInput where nothing tells them."""
-    times = frame_times([view.image for view in views], videos, settings.timing, progress)
-    return [replace(view, time=time) for view, time in zip(views, times.tolist(), strict=True)]
 
 
 def _from_tables(cameras: Sequence[CameraInputs], settings: RigSettings, progress: Progress) -> RigViews:
@@ -276,8 +235,6 @@ def _from_tables(cameras: Sequence[CameraInputs], settings: RigSettings, progres
         own = _by_camera(table, camera)
         views.update(own)
         circles |= {name: circle for name in own if (circle := table.circles.get(name, table.circles.get("")))}
-    if settings.timed:
-        views = {name: _timed(own, [], settings, progress) for name, own in views.items()}
     result = captured(known.pop(), views, settings, progress)
     warnings = tuple(warning for each in found.values() for warning in each.warnings)
     return replace(result, circles=circles, warnings=warnings + result.warnings, table=True)
