@@ -65,18 +65,18 @@ def systematic_messages(systematic: Mapping[str, tuple[float, float]], estimated
     """Return what is significantly wrong with all poses of a robot."""
     found = []
     for name, (value, std) in systematic.items():
+        values = {"value": value, "std": std}
         if abs(value) < SIGNIFICANT * std:
             continue
         if name == "scale":
             way = "short" if value > 0 else "long"
-            what = f"the robot's lengths are {100 * abs(value):.2g} ± {100 * std:.1g} % too {way} against the board's"
-            more = (
-                "" if name in estimated else ": correct them, or the size of the board, or estimate it, --robot-scale"
-            )
+            text = f"the robot's lengths are {100 * abs(value):.2g} ± {100 * std:.1g} % too {way} against the board's"
+            if name not in estimated:
+                text += ": correct them, or the size of the board, or estimate it, --robot-scale"
+            found.append(Message("robot_scale", text, values))
         else:
-            what = f"the robot's poses are {abs(value):.3g} ± {std:.1g} s {'late' if value > 0 else 'early'}"
-            more = ", which is taken out"
-        found.append(Message(f"robot_{name}", what + more, {"value": value, "std": std}))
+            text = f"the robot's poses are {abs(value):.3g} ± {std:.1g} s {'late' if value > 0 else 'early'}"
+            found.append(Message("robot_delay", f"{text}, which is taken out", values))
     return found
 
 

@@ -226,7 +226,7 @@ def test_the_page_shows_transforms_noise_and_errors(handeye, folder):
         "hand_T_camera",
         "Noise of the robot",
         "Errors of the robot",
-        "seen",
+        "0003",
     ):
         assert said in text
     assert text.count("data:image/svg+xml") == 4
