@@ -94,8 +94,8 @@ class Clocked:
     def stamps(self, frames):
         return np.arange(frames) / self.fps + self.start
 
-    def project(self, motion, times, rows):
-        """Return the pixels (N, C, 2) of a board's points at times (N,), each exposed at its own row, found by turns."""
+    def project(self, motion, times):
+        """Return the pixels (N, C, 2) of a board's points at times (N,), each exposed at its own row."""
         centred = BOARD.points() - BOARD.points().mean(axis=0)
         [turn] = rotations(np.array([self.turn], float))
         count, height = len(centred), self.lens.image_size[1]
@@ -105,13 +105,13 @@ class Clocked:
             poses, places = motion.at(moments.ravel())
             seen = np.einsum("nij,nj->ni", poses, np.tile(centred, (len(times), 1))) + places
             pixels = self.lens.project(seen @ turn.T + np.asarray(self.place)).pixels.reshape(len(times), count, 2)
-        return pixels if rows is None else pixels[rows]
+        return pixels
 
     def views(self, motion, frames, rng, noise_px=0.1, dropped=0.0, name=""):
         """Return the views of a board: those that lie in the image whole, less a share of dropped frames."""
         stamps = self.stamps(frames)
         moments = stamps + self.offset + self.rate * (stamps - self.start) + self.jitter * rng.normal(size=frames)
-        pixels = self.project(motion, moments, None)
+        pixels = self.project(motion, moments)
         pixels = pixels + noise_px * rng.normal(size=pixels.shape)
         inside = ((pixels > 5) & (pixels < np.array(self.lens.image_size) - 5)).all(axis=(1, 2))
         inside &= rng.random(frames) >= dropped

@@ -351,7 +351,6 @@ def _show_rig(report: "RigReport", settings: RigSettings, verbose: bool) -> None
     from camcal.report.rig import CAMERA_COLUMNS, TRANSFORM_COLUMNS, camera_rows, lines, transform_rows
     from camcal.report.table import region_words
     from camcal.report.text_figures import calibration_figures, coverage_words, residual_words
-    from camcal.report.times import time_lines
 
     calibration = report.calibration
     regions = {name: result.assessment.region for name, result in report.cameras.items()}

@@ -1,12 +1,15 @@
 """When cameras took their images, as text and as plain data."""
 
 from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
-from camcal.calibrate.timing.record import CameraTime, TimeCalibration
 from camcal.report.table import value_and_std
 
+if TYPE_CHECKING:
+    from camcal.calibrate.timing.record import CameraTime, TimeCalibration
 
-def time_lines(times: TimeCalibration | None) -> Iterator[str]:
+
+def time_lines(times: "TimeCalibration | None") -> Iterator[str]:
     """Yield the times of cameras, a line each."""
     if times is None:
         return
@@ -18,15 +21,15 @@ def time_lines(times: TimeCalibration | None) -> Iterator[str]:
             yield f"Time offset of {name}: {offset} ± {std} ms ({frames}), clock rate {rate} ± {rate_std} ppm"
         if own.readout is not None:
             readout, std = value_and_std(1e3 * own.readout, 1e3 * own.readout_std)
-            yield f"Readout time of {name}: {readout} ± {std} ms"
+            yield f"Readout time{f' of {name}' if name else ''}: {readout} ± {std} ms"
 
 
-def times_data(times: TimeCalibration | None) -> dict[str, dict[str, float]] | None:
+def times_data(times: "TimeCalibration | None") -> dict[str, dict[str, float]] | None:
     """Return the times of cameras as plain data by their names, as the camera file has them; None without any."""
     return None if times is None else {name: time_data(own) for name, own in times.cameras.items()}
 
 
-def time_data(own: CameraTime) -> dict[str, float]:
+def time_data(own: "CameraTime") -> dict[str, float]:
     """Return the times of a camera by the keys of a camera file."""
     clock = {
         "offset_s": own.offset,

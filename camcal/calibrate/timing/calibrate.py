@@ -44,17 +44,17 @@ def time_cameras(cameras: Mapping[str, TimedCamera], *, offsets: bool, shutter: 
     lost = [name for place, name in enumerate(cameras) if place not in found]
     if lost:
         first = next(iter(cameras))
-        raise _refused(
-            "no_common_motion",
+        text = (
             f"{lost[0]} and {first} see no motion of the board in common: record both while the board moves, by 10°/s "
-            "or more, in view of both",
+            "or more, in view of both"
         )
+        raise _refused(Message("no_common_motion", text))
     alignments = [found[place] for place in range(len(sources))]
     for name, own in zip(cameras, alignments, strict=True):
         if own.others:
             listed = ", ".join(f"{value:+.4g}" for value in (own.offset, *own.others))
             text = f"the time offset of {name} may be {listed} s: the motion repeats itself; add one that does not"
-            raise _refused("several_time_offsets", text, {"offsets_s": (own.offset, *own.others)})
+            raise _refused(Message("several_time_offsets", text))
     try:
         estimate = estimate_times(
             sources[0].camera.calibration.surface,
@@ -62,7 +62,6 @@ def time_cameras(cameras: Mapping[str, TimedCamera], *, offsets: bool, shutter: 
             [own.camera.calibration.camera.parameters for own in sources],
             tracks,
             alignments,
-            np.zeros(len(sources)),
             offsets=offsets,
             shutter=shutter,
         )
@@ -86,10 +85,10 @@ class _Source:
             if record.camera_T_board is not None and view.time is not None
         ]
         if not timed and any(view.found for view in camera.views):
-            raise InvalidInput(f"camera {name}: no times of its images: set --timestamps or --fps")
+            raise InvalidInput(f"no times of the images{_of(name)}: set --timestamps or --fps")
         if len(timed) < _FEWEST:
-            text = f"camera {name}: {counted(len(timed), 'image')} of the moving board; at least {_FEWEST} are needed"
-            raise _refused("too_few_timed_views", text)
+            text = f"{counted(len(timed), 'image')}{_of(name)} of the moving board; at least {_FEWEST} are needed"
+            raise _refused(Message("too_few_timed_views", text))
         order = sorted(timed, key=lambda place: camera.views[place].time or 0.0)
         times = np.array([camera.views[place].time for place in order])
         if not (np.diff(times) > 0).all():
@@ -138,8 +137,8 @@ def _weights(view: BoardDetection) -> Array:
     return np.asarray(1 / np.sqrt(np.linalg.det(view.covariance)))
 
 
-def _refused(code: str, text: str, values: Mapping[str, object] | None = None) -> InsufficientData:
-    return InsufficientData(text, failures=[Message(code, text, values)])
+def _refused(failure: Message) -> InsufficientData:
+    return InsufficientData(failure.text, failures=[failure])
 
 
 def _record(names: tuple[str, ...], sources: Sequence[_Source], estimate: TimeEstimate) -> TimeCalibration:
@@ -166,24 +165,31 @@ def _record(names: tuple[str, ...], sources: Sequence[_Source], estimate: TimeEs
     return replace(result, warnings=tuple(_warnings(result, sources)))
 
 
+def _of(name: str) -> str:
+    """Return whose something is, nothing for a camera alone, which has no name."""
+    return f" of {name}" if name else ""
+
+
 def _warnings(result: TimeCalibration, sources: Sequence[_Source]) -> list[Message]:
     """Return what is not determined, and where the motion is not as smooth as it is taken to be."""
     found, estimate, interval = [], result.estimate, result.interval
     for camera, (name, own) in enumerate(result.cameras.items()):
         speed = result.speed_px(name)
         slow = f"the board moves by {speed:.2g} px a frame only: move it faster"
-        for which, what, std in ((OFFSET, "time offset", own.offset_std), (READOUT, "readout time", own.readout_std)):
-            if std > _UNDETERMINED * interval:
-                why = slow if speed < _STILL else "the motion is alike throughout: turn and move the board to and fro"
-                if which == OFFSET and _with_cameras_held(estimate, camera) < _HELD * std:
-                    why = "the board moves in one direction only, evenly: move it to and fro"
-                code = "undetermined_time_offset" if which == OFFSET else "undetermined_readout_time"
-                text = f"{what} of {name} not determined (± {1e3 * std:.2g} ms): {why}"
-                found.append(Message(code, text, {"std_s": std}))
+        alike = slow if speed < _STILL else "the motion is alike throughout: turn and move the board to and fro"
+        if own.offset_std > _UNDETERMINED * interval:
+            why = alike
+            if _with_cameras_held(estimate, camera) < _HELD * own.offset_std:
+                why = "the board moves in one direction only, evenly: move it to and fro"
+            text = f"time offset{_of(name)} not determined (± {1e3 * own.offset_std:.2g} ms): {why}"
+            found.append(Message("undetermined_time_offset", text, {"std_s": own.offset_std}))
+        if own.readout_std > _UNDETERMINED * interval:
+            text = f"readout time{_of(name)} not determined (± {1e3 * own.readout_std:.2g} ms): {alike}"
+            found.append(Message("undetermined_readout_time", text, {"std_s": own.readout_std}))
         noise, free = estimate.problem.cameras[camera].sigma, sources[camera].camera.calibration.sigma_px
         if estimate.stiff and noise > _STIFF * free:
             text = (
-                f"motion too fast for the frame rate: residuals of {name} {noise:.2g} px about a smooth motion, "
+                f"motion too fast for the frame rate: residuals{_of(name)} {noise:.2g} px about a smooth motion, "
                 f"{free:.2g} px otherwise; move more slowly, or check the time stamps"
             )
             found.append(Message("motion_too_fast", text, {"noise_px": noise}))

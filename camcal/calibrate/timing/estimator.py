@@ -62,21 +62,19 @@ def estimate_times(
     lenses: Sequence[Array],
     tracks: Sequence[Track],
     alignments: Sequence[Alignment],
-    readouts: Array,
     *,
     offsets: bool,
     shutter: bool,
 ) -> TimeEstimate:
     """Return the times of cameras, from the poses of their views and how their clocks are apart.
 
-    surface: the board, whose terms are estimated again. cameras: with stamps as they are. tracks: the poses (V,) of views, by their stamps. alignments: of all cameras with
-    the first. readouts: (N,) s, to begin with. Raises SingularError.
+    surface: the board, whose terms are estimated again. cameras: with stamps as they are. tracks: the poses (V,) of
+    views, by their stamps. alignments: of all cameras with the first. Raises SingularError.
     """
     count = len(cameras)
     references = np.array([(own.times[0] + own.times[-1]) / 2 for own in tracks])
     times = np.zeros((3, count))
     times[OFFSET] = [own.offset for own in alignments] + references - references[0]
-    times[READOUT] = readouts
     free = np.zeros((3, count), bool)
     free[: RATE + 1, 1:] = offsets
     free[READOUT] = shutter
@@ -87,12 +85,12 @@ def estimate_times(
     moments, turned, moved = [], [], []
     for camera, track in enumerate(tracks):
         back = rotations[camera].T
-        moments.append(track.times - references[camera] + times[OFFSET, camera] + readouts[camera] / 2)
+        moments.append(track.times - references[camera] + times[OFFSET, camera])
         turned.append(back @ track.rotations)
         moved.append((track.translations - translations[camera]) @ rotations[camera])
     stamps = np.concatenate(moments)
     order = np.argsort(stamps, kind="stable")
-    margin = 2 * interval + float(np.abs(readouts).max())
+    margin = 2 * interval
     knots = Knots.over(stamps.min() - margin, stamps.max() + margin, _COARSEST * interval)
     motion = motion_through(knots, stamps[order], np.concatenate(turned)[order], np.concatenate(moved)[order])
     state = TimeState(tuple(lenses), rotations, translations, times, np.array(surface.coefficients), motion)

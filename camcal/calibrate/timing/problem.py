@@ -1,9 +1,10 @@
-"""A board that moves smoothly before cameras that stand still, as a least-squares problem: each corner has its own time.
+"""A board that moves smoothly before cameras that stand still: least squares where each corner has its own time.
 
 A row of an image is taken at stamp + offset + rate · (stamp - reference) + readout · row / height, in the time of the
-first camera. Shared parameters, in this order: the free lens parameters of each camera, the poses camera_T_rig (tx ty
-tz rx ry rz) of all cameras but the first, the coefficients of the board's shape, the offsets and then the rates of these
-cameras, the readout times of all. The groups are the spans of the board's motion rig_T_board, whose nodes are poses.
+first camera. Shared parameters, in this order: the free lens parameters of each camera, the poses camera_T_rig (tx
+ty tz rx ry rz) of all cameras but the first, the coefficients of the board's shape, the offsets and then the rates of
+these cameras, the readout times of all. The groups are the spans of the board's motion rig_T_board, whose nodes are
+poses.
 """
 
 from collections.abc import Sequence
@@ -28,8 +29,8 @@ OFFSET, RATE, READOUT = range(3)
 
 @dataclass(frozen=True, eq=False)
 class TimedCorners:
-    """The corners (M,) that a camera saw: pixels (2, M), ids (M,) of the board's points, stamps (M,) less the reference,
-    s, rows (M,), shares of the image's height, and weights (M,).
+    """The corners (M,) that a camera saw: pixels (2, M), ids (M,) of the board's points, stamps (M,) less the
+    reference, s, rows (M,), shares of the image's height, and weights (M,).
 
     free: the lens parameters that move. sigma: px. lens_spread: (K,) the standard deviations of the weak priors on the
     lens about the model's prior_mean, None for none.
@@ -175,7 +176,7 @@ class TimeProblem:
     def _corners(self, state: TimeState, camera: int) -> Block | None:
         own = self.cameras[camera]
         times = state.of_rows(camera, own.stamps, own.rows)
-        if not state.motion.knots.contain(times):
+        if not state.motion.knots.contain(times).all():
             return None
         rows, groups, weights = _by_span(state.motion.knots.places(times)[0], own.weights)
         points, moments, turned = self._points(state, camera, times[rows], own.ids[rows])

@@ -1,6 +1,6 @@
 """Times of cameras, and views as they would be had all rows been taken at one moment."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -41,17 +41,38 @@ class TimeCalibration(Brief):
 
     def timed(self, camera: str, view: BoardDetection) -> BoardDetection:
         """Return a view with the mean time of its corners in the time of the first camera."""
-        if view.time is None or not view.found:
-            return view
-        rows = view.pixels[:, 1] / view.size[1]
-        return replace(view, time=float(self._times(camera, view, rows).mean()))
+        return (
+            replace(view, time=float(self._times(camera, view).mean()))
+            if view.time is not None and view.found
+            else view
+        )
 
-    def at(self, camera: str, view: BoardDetection, time: float) -> BoardDetection:
-        """Return a view with its corners where they were at a time of the first camera; as it is where the motion is
-        not known.
+    def at(self, camera: str, views: Sequence[BoardDetection], times: Sequence[float | None]) -> list[BoardDetection]:
+        """Return views with their corners where they were at times of the first camera; as they are where there is no
+        time or the motion is not known.
         """
-        moved = self._moved(camera, view, time)
-        return view if moved is None else replace(view, pixels=view.pixels + moved, time=time)
+        known = [
+            place
+            for place, (view, time) in enumerate(zip(views, times, strict=True))
+            if time is not None and view.time is not None and view.image in self.ids[camera]
+        ]
+        if not known:
+            return list(views)
+        counts = [len(views[place].ids) for place in known]
+        place, start = list(self.cameras).index(camera), self.estimate.references[0]
+        taken = np.concatenate([self._times(camera, views[row]) for row in known]) - start
+        wanted = np.repeat([float(times[row] or 0.0) for row in known], counts) - start
+        ids = np.concatenate([self.ids[camera][views[row].image] for row in known])
+        knots = self.estimate.state.motion.knots
+        inside = knots.contain(taken) & knots.contain(wanted)
+        moved = np.full((len(ids), 2), np.nan)
+        before, after = (self._pixels(place, ids[inside], own[inside]) for own in (taken, wanted))
+        moved[inside] = (after - before).T
+        result = list(views)
+        for row, own in zip(known, np.split(moved, np.cumsum(counts)[:-1]), strict=True):
+            if np.isfinite(own).all():
+                result[row] = replace(views[row], pixels=views[row].pixels + own, time=times[row])
+        return result
 
     def speed_px(self, camera: str) -> float:
         """Return by how much corners move from frame to frame, RMS, px."""
@@ -62,23 +83,11 @@ class TimeCalibration(Brief):
         sides = [self._pixels(place, own.ids, times + side) for side in (-half, half)]
         return float(np.sqrt(np.nanmean(np.sum((sides[1] - sides[0]) ** 2, axis=0)))) * estimate.interval / (2 * half)
 
-    def _times(self, camera: str, view: BoardDetection, rows: Array) -> Array:
+    def _times(self, camera: str, view: BoardDetection) -> Array:
         place = list(self.cameras).index(camera)
         state, reference = self.estimate.state, self.estimate.references
-        stamps = np.full(len(rows), float(view.time or 0.0) - reference[place])
-        return np.asarray(state.of_rows(place, stamps, rows) + reference[0])
-
-    def _moved(self, camera: str, view: BoardDetection, time: float) -> Array | None:
-        ids = self.ids[camera].get(view.image)
-        if ids is None or view.time is None:
-            return None
-        place, start = list(self.cameras).index(camera), self.estimate.references[0]
-        times = self._times(camera, view, view.pixels[:, 1] / view.size[1]) - start
-        there = np.full(len(times), time - start)
-        if not self.estimate.state.motion.knots.contain(np.concatenate([times, there])):
-            return None
-        moved = (self._pixels(place, ids, there) - self._pixels(place, ids, times)).T
-        return moved if np.isfinite(moved).all() else None
+        stamps = np.full(len(view.ids), float(view.time or 0.0) - reference[place])
+        return np.asarray(state.of_rows(place, stamps, view.pixels[:, 1] / view.size[1]) + reference[0])
 
     def _pixels(self, place: int, ids: Array, times: Array) -> Array:
         """Return where a camera sees points ids (M,) of the board at times (M,), less the first camera's reference."""
@@ -87,8 +96,8 @@ class TimeCalibration(Brief):
         return np.asarray(model.project(lens, estimate.problem.seen(estimate.state, place, times, ids).T).pixels.T)
 
     def spread(self, names: tuple[str, ...]) -> FloatArray:
-        """Return what not knowing the times adds to the covariance (n, n) of lenses and transforms, by their names, such
-        as left.fx and right_T_left.tx; 0 for what is not among them.
+        """Return what not knowing the times adds to the covariance (n, n) of lenses and transforms, by their names,
+        such as left.fx and right_T_left.tx; 0 for what is not among them.
         """
         problem, covariance = self.estimate.problem, self.estimate.covariance
         times = np.arange(problem.times_start, problem.shared)

@@ -13,7 +13,6 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.geometry import rotation as so3
 from camcal.solve.chains import WIDTH
-from camcal.solve.steps import Step
 
 # B-spline weights of the four nodes of a span by powers 1, u, u², u³ of the share u of the span
 _BASIS = np.array([[1, -3, 3, -1], [4, 0, -6, 3], [1, 3, 3, -3], [0, 0, 0, 1]]) / 6.0
@@ -45,10 +44,10 @@ class Knots:
         spans = np.floor(passed).astype(np.intp)
         return spans, passed - spans
 
-    def contain(self, times: Array) -> bool:
-        """Return whether all times lie in spans."""
+    def contain(self, times: Array) -> Array:
+        """Return which times (M,) lie in spans."""
         passed = (times - self.start) / self.step
-        return bool(passed.min() >= 0 and passed.max() < self.spans)
+        return np.asarray((passed >= 0) & (passed < self.spans))
 
     def weights(self, shares: Array) -> tuple[Array, Array]:
         """Return the weights (4, M) of a span's nodes at shares (M,) of it, and their derivatives by time, 1/s."""
@@ -62,8 +61,8 @@ class Moments:
     """Poses at M times, and how fast they change: quaternions (4, M), translations, velocities, turning (3, M), m, m/s
     and rad/s, R' = hat(turning) R.
 
-    spans: (M,). by_node: (4, M) what a node's step moves the translation by. apart: (4, 4, M) w, x y z of each node: its
-    turn δr turns the pose by w δr - v x δr.
+    spans: (M,). by_node: (4, M) what a node's step moves the translation by. apart: (4, 4, M) w, x y z of each node:
+    its turn δr turns the pose by w δr - v x δr.
     """
 
     quaternions: Array
@@ -180,10 +179,10 @@ def motion_through(knots: Knots, times: Array, rotations: Array, translations: A
 def _of_one_sign(quaternions: Array) -> Array:
     """Return quaternions (N, 4) in order with the signs that make them smooth; single ones may be anything."""
     result, usual = quaternions.copy(), quaternions[0].copy()
-    for place, own in enumerate(result):
-        if own @ usual < 0:
-            own *= -1
-        usual = own if place < 1 else 0.6 * usual + 0.4 * own
+    for row in range(len(result)):
+        if result[row] @ usual < 0:
+            result[row] *= -1
+        usual = 0.6 * usual + 0.4 * result[row]
     return result
 
 

@@ -1,9 +1,9 @@
 """Time offsets to begin with, from the poses of single cameras.
 
-How a board moves, in its own frame, is the same whichever camera sees it and wherever that stands: angular velocity, and
-velocity of its centre along its axes. Two cameras' clocks are apart by the lag at which these agree best. Of the lags
-that agree about as well as any, the one is taken at which one relative pose fits most moments; a motion that repeats
-itself has several.
+How a board moves, in its own frame, is the same whichever camera sees it and wherever that stands: angular velocity,
+and velocity of its centre along its axes. Two cameras' clocks are apart by the lag at which these agree best. Of the
+lags that agree about as well as any, the one is taken at which one relative pose fits most moments; a motion that
+repeats itself has several.
 """
 
 from collections.abc import Sequence
@@ -140,7 +140,7 @@ def _spread(one: Track, other: Track, offset: float, board: Board) -> Link | Non
 
 
 def _sampled(times: Array, values: Array, step: float) -> tuple[float, Array, Array]:
-    """Return the first time, values (N, 6) every `step`, and which (N,) are known; few values that are far off are cut."""
+    """Return the first time, values (N, 6) every `step`, which (N,) are known; few values that are far off are cut."""
     sizes = np.linalg.norm(values, axis=1)
     most = _CLIP * float(np.sqrt(np.mean(np.sort(sizes)[: max(1, int(0.95 * len(sizes)))] ** 2))) + 1e-300
     values = values * np.minimum(1, most / np.maximum(sizes, 1e-300))[:, None]
@@ -155,7 +155,7 @@ def _sampled(times: Array, values: Array, step: float) -> tuple[float, Array, Ar
 def _disagreement(
     one: tuple[float, Array, Array], other: tuple[float, Array, Array], step: float
 ) -> tuple[Array, Array]:
-    """Return offsets (L,), s, and how much of the motion at each two cameras do not agree on: 0 … 1, and 2 if opposite."""
+    """Return offsets (L,), s, and how much of the motion two cameras do not agree on at each: 0 … 1, 2 if opposite."""
     (start, a, known_a), (start_b, b, known_b) = one, other
     both = np.correlate(known_a, known_b, "full")
     energy = np.correlate((a**2).sum(axis=1), known_b, "full") + np.correlate(known_a, (b**2).sum(axis=1), "full")

@@ -1,7 +1,8 @@
 """Gyroflow lens profiles: one camera a JSON file, for frames of calib_dimension.
 
-A profile without distortion_model is of the fisheye model. frame_readout_time is in ms. What has no place in a lens
-(the stretch of anamorphic frames) is kept (x_gyroflow) and written again; an anamorphic lens is that of the widened frames.
+A profile without distortion_model is of the fisheye model. frame_readout_time is in ms. What has no place in
+a lens (the stretch of anamorphic frames) is kept (x_gyroflow) and written again; an anamorphic lens is that of the
+widened frames.
 Source: gyroflow's src/core/lens_profile.rs and distortion_models.
 """
 

@@ -37,7 +37,6 @@ from camcal.tasks.calibration.corner_refinement import RefinementSummary, is_loc
 from camcal.tasks.calibration.image_circle_of_views import circle_lines, known_circle, with_circle
 from camcal.tasks.calibration.model_selection import Selection, brief_calibration, solve
 from camcal.tasks.calibration.options import CalibrateOptions, FrameOptions
-from camcal.tasks.calibration.rolling_shutter import solve_at_once, with_frame_times
 from camcal.tasks.calibration.video_frames import as_data as frame_data
 from camcal.tasks.figure_files import figure_data, write_figures
 
@@ -66,7 +65,11 @@ def seen_of(options: CalibrateOptions, board: Board | str | None, progress: Prog
         batch=options.batch,
         locate=is_located(options.refine, options.reading, mixed_sizes=options.mixed_sizes),
     )
-    return with_frame_times(seen, options.timing, progress) if options.rolling_shutter else seen
+    if not options.rolling_shutter:
+        return seen
+    from camcal.tasks.calibration.rolling_shutter import with_frame_times
+
+    return with_frame_times(seen, options.timing, progress)
 
 
 def calibrated(
@@ -99,6 +102,8 @@ def calibrated(
     )
     brief = partial(brief_calibration, board=seen.board, options=how, circle=circle, choose=options.model is None)
     if options.rolling_shutter:
+        from camcal.tasks.calibration.rolling_shutter import solve_at_once
+
         solve_seen = partial(solve_at_once, brief=brief, solve=solve_seen, circle=circle, progress=progress)
     refinement: RefinementSummary | None = None
     found: tuple[Message, ...] = ()

@@ -4,14 +4,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from camcal import files
 from camcal.calibrate.channels import Aberration, ColourLens
 from camcal.calibrate.intrinsics import Calibration, CandidateModel, View
-from camcal.calibrate.timing.record import TimeCalibration
 from camcal.cameras.model import Camera
 from camcal.cameras.validity import ImageCircle
 from camcal.formats import provenance
@@ -36,6 +35,9 @@ from camcal.tasks.calibration.board_views import BoardViews
 from camcal.tasks.calibration.corner_refinement import RefinementSummary
 from camcal.tasks.calibration.video_frames import FrameRecord
 
+if TYPE_CHECKING:
+    from camcal.calibrate.timing.record import TimeCalibration
+
 
 @dataclass(frozen=True, eq=False)
 class Channel:
@@ -52,7 +54,7 @@ def camera_file(
     command: Sequence[str],
     channels: Mapping[str, Channel] = MappingProxyType({}),
     circle: ImageCircle | None = None,
-    times: TimeCalibration | None = None,
+    times: "TimeCalibration | None" = None,
 ) -> CameraFile:
     """Return what the camera file says of a calibration; green is the camera itself and no channel of its own.
 
@@ -163,7 +165,7 @@ class CalibrateReport(Brief):
     frames: tuple[FrameRecord, ...] = ()
     candidates: tuple[CandidateModel, ...] = ()
     figures: tuple[Path, ...] = ()
-    times: TimeCalibration | None = None
+    times: "TimeCalibration | None" = None
 
     def __repr__(self) -> str:
         """Return the verdict, the lens and its uncertainty in a line."""

@@ -3,11 +3,11 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
+from typing import TYPE_CHECKING
 
 from camcal.calibrate import intrinsics
 from camcal.calibrate.fit import CalibrationFit, ShapeOptions
 from camcal.calibrate.intrinsics import Calibration, CandidateModel, FittedModel, compare_models
-from camcal.calibrate.timing.record import TimeCalibration
 from camcal.cameras.catalogue import DEFAULT_MODEL, WIDE_MODEL, model_named
 from camcal.cameras.validity import ImageCircle
 from camcal.errors import CamcalError, InsufficientData, InvalidInput, NotConverged
@@ -17,6 +17,9 @@ from camcal.quality.assess import Assessment, assess, judge
 from camcal.quality.lens_choice import GAIN, other_models, passing_model, rank_models
 from camcal.targets.board import Board
 from camcal.targets.detection import BoardDetection
+
+if TYPE_CHECKING:
+    from camcal.calibrate.timing.record import TimeCalibration
 
 # the simplest first: by the number of their parameters
 CANDIDATES = ("pinhole", "opencv4", "kannala_brandt4", "opencv5", "kannala_brandt5t", "opencv8")
@@ -56,7 +59,7 @@ class Selection:
     candidates: tuple[CandidateModel, ...] = ()
     warnings: tuple[Message, ...] = ()
     lines: tuple[str, ...] = ()
-    times: TimeCalibration | None = None
+    times: "TimeCalibration | None" = None
 
 
 def solve(

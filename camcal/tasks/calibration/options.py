@@ -105,8 +105,8 @@ Refine = Annotated[
 RollingShutter = Annotated[
     bool,
     Option(
-        "Estimate the readout time of a rolling shutter from the motion of the board: images need times, and all frames "
-        "of videos are used.",
+        "Estimate the readout time of a rolling shutter from the motion of the board: images need times; all frames of "
+        "videos are used."
     ),
 ]
 MaxUncertainty = Annotated[

@@ -1,4 +1,4 @@
-"""`camcal calibrate --rolling-shutter`: the readout time by the motion of the board, and views as of one moment each."""
+"""`camcal calibrate --rolling-shutter`: the readout time by the motion of the board, views as of one moment each."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -16,6 +16,7 @@ from camcal.tasks.poses.frame_times import frame_times
 from camcal.tasks.poses.smooth_options import Timing
 
 CAMERA = ""  # the name of the only one
+_SAME = 0.1  # standard deviations by which a readout time may change without another solution
 
 
 def with_frame_times(seen: BoardViews, timing: Timing, progress: Progress) -> BoardViews:
@@ -37,30 +38,30 @@ def solve_at_once(
 
     brief, solve: a brief calibration from views as they are, and a whole one. Raises as these and `time_cameras` do.
     """
-    lens = brief(views) or solve(views).calibration
-    selection = solve(_at_once(views, _timed(lens, views, progress)))
-    times = _timed(selection.calibration, views, progress)
-    selection = solve(_at_once(views, times))
-    own = selection.calibration
-    if own.camera.covariance is not None:
-        spread = times.spread(tuple(f"{CAMERA}.{name}" for name in own.camera.model.parameter_names))
-        own = replace(own, camera=replace(own.camera, covariance=own.camera.covariance + spread))
+    first = _times(brief(views) or solve(views).calibration, views, progress)
+    selection = solve(_at_once(views, first))
+    times = _times(selection.calibration, views, progress)
+    own, before = times.cameras[CAMERA], first.cameras[CAMERA]
+    if abs((own.readout or 0.0) - (before.readout or 0.0)) > _SAME * own.readout_std:
+        selection = solve(_at_once(views, times))
+    calibration = selection.calibration
+    if calibration.camera.covariance is not None:
+        spread = times.spread(tuple(f"{CAMERA}.{name}" for name in calibration.camera.model.parameter_names))
+        camera = replace(calibration.camera, covariance=calibration.camera.covariance + spread)
+        calibration = replace(calibration, camera=camera)
     return replace(
         selection,
-        calibration=own,
-        assessment=assess(own, circle, selection.candidates),
+        calibration=calibration,
+        assessment=assess(calibration, circle, selection.candidates),
         warnings=(*times.warnings, *selection.warnings),
         times=times,
     )
 
 
-def _timed(lens: Calibration, views: Sequence[BoardDetection], progress: Progress) -> TimeCalibration:
+def _times(lens: Calibration, views: Sequence[BoardDetection], progress: Progress) -> TimeCalibration:
     with stage(progress, "times"):
         return time_cameras({CAMERA: TimedCamera(lens, views)}, offsets=False, shutter=True)
 
 
 def _at_once(views: Sequence[BoardDetection], times: TimeCalibration) -> list[BoardDetection]:
-    middles = [times.timed(CAMERA, view).time for view in views]
-    return [
-        view if middle is None else times.at(CAMERA, view, middle) for view, middle in zip(views, middles, strict=True)
-    ]
+    return times.at(CAMERA, views, [times.timed(CAMERA, view).time for view in views])
