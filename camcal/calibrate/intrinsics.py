@@ -395,8 +395,6 @@ def record(solved: Solved, covariances: Array, between: BetweenViews) -> Calibra
 
 
 def pose_covariances(result: CalibrationFit) -> Array:
-    """Return the covariances (V, 6, 6) of the poses of a camera's views: weighted means over the estimates, each under
-    the lens's own.
-    """
+    """Return the covariances (V, 6, 6) of a camera's poses: means over the estimates, each under the lens's own."""
     own = [estimate.factors.group_covariances(POSE, result.covariance) for estimate in result.estimates]
     return np.asarray(np.tensordot(result.weights, np.stack(own), axes=1))

@@ -16,6 +16,15 @@ class CameraLink:
     captures: int
     std: float
 
+    def as_data(self) -> dict[str, object]:
+        """Return the link as plain data."""
+        return {
+            "cameras": list(self.cameras),
+            "boards": list(self.boards),
+            "captures": self.captures,
+            "std_m": self.std,
+        }
+
 
 def certain_path(links: Sequence[CameraLink], first: str, last: str) -> tuple[CameraLink, ...]:
     """Return the links that lead from one camera to another with the least variance, none where nothing does.

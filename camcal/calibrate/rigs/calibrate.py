@@ -12,21 +12,18 @@ from camcal.calibrate import intrinsics
 from camcal.calibrate.between_views import between_views
 from camcal.calibrate.fit import CalibrationFit
 from camcal.calibrate.intrinsics import Calibration, Solved, pose_covariances
-from camcal.calibrate.problem import POSE
 from camcal.calibrate.rigs.effects import SHIFT
 from camcal.calibrate.rigs.epipolar import epipolar_by_capture
 from camcal.calibrate.rigs.fit import RigFit, fit_rig, with_other_models
 from camcal.calibrate.rigs.links import Link, Placed, composed, link, place
 from camcal.calibrate.rigs.measured import Measured, require_measured
 from camcal.calibrate.rigs.mistakes import Mistakes, RigCamera, mistakes
-from camcal.calibrate.rigs.paths import CameraViews, camera_links
+from camcal.calibrate.rigs.paths import camera_links
 from camcal.calibrate.rigs.placement import PlacedRig, Rows, groups_of, place_rig
-from camcal.calibrate.rigs.problem import LensPrior, RigProblem
+from camcal.calibrate.rigs.problem import LensPrior
 from camcal.calibrate.rigs.record import FIXED, PRIOR, Captures, ExposureMotion, RigCalibration, RigOptions
 from camcal.calibrate.rigs.start import RigStart
-from camcal.calibrate.robot.start import Poses
 from camcal.errors import CamcalError, InsufficientData, InvalidInput, NotConverged
-from camcal.geometry.camera_links import CameraLink
 from camcal.geometry.pose import Pose
 from camcal.messages import Message
 from camcal.solve.steps import SingularError
@@ -47,7 +44,7 @@ def calibrate_rig(captures: Captures, board: Board, options: RigOptions) -> RigC
     if len(captures.cameras) < 2:
         raise InvalidInput("a rig needs two cameras or more")
     cameras = _alone(captures, board, options, options.starts)
-    rows = _rows_of(captures, board, options)
+    rows = Rows.of(captures, board, options.bodies)
     found = _mistakes(cameras, board, rows, captures.names)
     if found.excluded:
         wrong = {(capture, cameras.places[camera]) for capture, camera in found.excluded}
@@ -101,19 +98,6 @@ class _Cameras:
             RigCamera(name, start.poses, start.solved.fit.problem, start.solved.fit.state.parameters)
             for name, start in zip(self.names, self.starts, strict=True)
         ]
-
-
-def _rows_of(captures: Captures, board: Board, options: RigOptions) -> Rows:
-    """Return what the rows of captures are."""
-    count, names = len(captures), tuple(board.members)
-    joined = options.bodies if options.bodies is not None else (names,)
-    body_of = {name: place for place, body in enumerate(joined) for name in body}
-    return Rows(
-        np.array(captures.boards or [0] * count, np.intp),
-        np.array(captures.moments or range(count), np.intp),
-        names,
-        tuple(body_of.get(name, len(joined) + place) for place, name in enumerate(names)),
-    )
 
 
 def _mistakes(cameras: _Cameras, board: Board, rows: Rows, names: Sequence[str]) -> Mistakes:
@@ -304,34 +288,11 @@ def _record(
         epipolar_rms_px=float(np.sqrt(squares.sum() / counts.sum())) if counts.any() else None,
         epipolar_by_capture=np.sqrt(squares / np.where(counts, counts, np.nan)),
         boards=boards,
-        links=_links(result, cameras),
+        links=camera_links(result, names, [pose_covariances(own.solved.fit) for own in cameras.starts]),
         scales=_scales(result),
         warnings=(*warnings, *found.warnings),
         failures=(*found.failures, *_misfits(calibrations, cameras)),
     )
-
-
-def _links(result: RigFit, cameras: _Cameras) -> tuple[CameraLink, ...]:
-    """Return what links pairs of cameras, by what their views alone say."""
-    problem, views = result.problem, []
-    states = result.camera_states()
-    for camera, (name, start) in enumerate(zip(cameras.names, cameras.starts, strict=True)):
-        captures, state = problem.captures[camera], states[camera]
-        boards = problem.bodies[camera] if problem.bodies else np.zeros(len(captures), np.intp)
-        alone = pose_covariances(start.solved.fit)
-        views.append(CameraViews(name, captures, boards, Poses(state.rotations, state.translations), alone))
-    estimated = {
-        board: result.covariance[places, places]
-        for board, places in zip(problem.attached, _places(problem), strict=True)
-    }
-    on_body = Poses(result.state.boards.rotations, result.state.boards.translations)
-    return camera_links(views, tuple(problem.board.members), on_body, estimated)
-
-
-def _places(problem: RigProblem) -> list[slice]:
-    """Return where the poses of boards on their bodies are among the shared parameters."""
-    starts = range(problem.attached_start, problem.board_start, POSE)
-    return [slice(start, start + POSE) for start in starts]
 
 
 def _scales(result: RigFit) -> dict[str, tuple[float, float]]:

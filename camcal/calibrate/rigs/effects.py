@@ -48,7 +48,7 @@ class CaptureEffects:
             own = np.unique(of_camera.effect).tolist()
             size = sum(KINDS[kind].columns for kind in own)
             slots.append(np.zeros((len(problem.captures[camera]), size), np.intp))
-            boards = problem.bodies[camera] if problem.bodies else np.zeros(len(problem.captures[camera]), np.intp)
+            boards = problem.boards[camera]
             start = 0
             for kind in own:
                 alike: Sequence[Array] = problem.layers[camera]

@@ -15,12 +15,14 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.calibrate.rigs.links import CameraPoses, Placed
 from camcal.calibrate.rigs.measured import BoardPoses, KnownRelation, contradicted
+from camcal.calibrate.rigs.record import Captures
 from camcal.calibrate.robot.reading import undetermined_axis
 from camcal.calibrate.robot.start import Poses, centre, closed_form
 from camcal.errors import InsufficientData
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
 from camcal.messages import Message
+from camcal.targets.board import Board
 
 _LEAST_MOTIONS = 4  # captures from which a motion links groups of cameras
 _APART, _TURNED = 0.05, np.radians(5.0)  # of the distance of the boards, and rad: boards that are not joined
@@ -37,6 +39,18 @@ class Rows:
     moment: Array
     boards: tuple[str, ...]
     bodies: tuple[int, ...]
+
+    @classmethod
+    def of(cls, captures: Captures, board: Board, joined: Sequence[Sequence[str]] | None) -> "Rows":
+        """Return what the rows of captures are; joined: groups of boards that are, None: all are."""
+        count, names = len(captures), tuple(board.members)
+        body_of = {name: place for place, body in enumerate((names,) if joined is None else joined) for name in body}
+        return cls(
+            np.array(captures.boards or [0] * count, np.intp),
+            np.array(captures.moments or range(count), np.intp),
+            names,
+            tuple(body_of.get(name, -1 - place) for place, name in enumerate(names)),
+        )
 
 
 @dataclass(frozen=True, eq=False)

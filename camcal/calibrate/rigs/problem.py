@@ -100,6 +100,11 @@ class RigProblem:
         """Where the terms of the board's shape begin among the shared parameters."""
         return self.attached_start + POSE * len(self.attached)
 
+    @property
+    def boards(self) -> tuple[Array, ...]:
+        """Of each camera the places of the boards (V,) that its views are of."""
+        return self.bodies or tuple(np.zeros(len(captures), np.intp) for captures in self.captures)
+
     @cached_property
     def layers(self) -> tuple[tuple[Array, ...], ...]:
         """Of each camera its views in parts, in each of which no capture of a body occurs twice."""

@@ -146,6 +146,12 @@ class RigCalibration(Brief):
         """The name of the camera whose frame is the rig's."""
         return next(iter(self.poses))
 
+    @property
+    def transforms(self) -> dict[str, Pose]:
+        """The poses of the cameras but the first, and of boards on their bodies, by the names of transforms."""
+        others = {self.transform_name(name): pose for name, pose in self.poses.items() if name != self.first}
+        return others | dict(self.boards)
+
     def transform_name(self, camera: str) -> str:
         """Return the name of a camera's pose, such as right_T_left."""
         return f"{camera}_T_{self.first}"

@@ -19,7 +19,7 @@ from camcal.progress import SILENT, Progress, stage, warn_of
 from camcal.quality.assess import assess
 from camcal.quality.projection_uncertainty import too_uncertain
 from camcal.report.calibration import as_data, candidates_data, uncertainty_data
-from camcal.report.rig import motion_data, transform_data
+from camcal.report.rig import motion_data, scales_data, transform_data
 from camcal.run.journal import journal_beside
 from camcal.run.outputs import writes
 from camcal.targets.board import Board
@@ -285,10 +285,11 @@ def document(report: RigReport, settings: RigSettings) -> dict[str, Any]:
         "first": calibration.first,
         "cameras": {name: _camera_data(report, name) for name in calibration.calibrations},
         "transforms": {
-            calibration.transform_name(name): transform_data(pose, calibration.pose_covariance(name))
-            for name, pose in calibration.poses.items()
-            if name != calibration.first
+            name: transform_data(pose, calibration.transform_covariance(name))
+            for name, pose in calibration.transforms.items()
         },
+        "links": [link.as_data() for link in calibration.links],
+        "scales": scales_data(calibration.scales),
         "epipolar_rms_px": calibration.epipolar_rms_px,
         "motion": motion_data(calibration.motion),
         "unlinked": dict(calibration.unlinked),

@@ -155,10 +155,7 @@ def as_data(found: RigInspection | None) -> dict[str, Any] | None:
         return None
     pairs = [_pair_data(pair) for pair in found.pairs]
     for pair, path in zip(pairs, found.paths, strict=False):
-        pair["path"] = [
-            {"cameras": link.cameras, "boards": link.boards, "captures": link.captures, "std_m": link.std}
-            for link in path
-        ]
+        pair["path"] = [link.as_data() for link in path]
     return {"frame": found.frame, "pairs": pairs, "measured": dict(found.measured)}
 
 

@@ -15,7 +15,7 @@ from camcal.messages import Message
 from camcal.quality.assess import Assessment
 from camcal.quality.projection_uncertainty import ProjectionUncertainty
 from camcal.records import Brief
-from camcal.report.rig import motion_data
+from camcal.report.rig import motion_data, scales_data
 from camcal.targets.board_set import surfaces_of
 from camcal.tasks.calibration.camera_result import camera_entry, image_record, is_shaped
 from camcal.tasks.calibration.corner_refinement import RefinementSummary
@@ -87,16 +87,11 @@ def rig_file(calibration: RigCalibration, results: Mapping[str, CameraResult], c
                 verdict.trustworthy and not failures, verdict.reasons + failures, None if failures else verdict.region
             ),
         )
-    others = [name for name in calibration.poses if name != calibration.first]
     transforms = {
-        calibration.transform_name(name): Transform(calibration.poses[name], calibration.pose_covariance(name))
-        for name in others
+        name: Transform(pose, calibration.transform_covariance(name)) for name, pose in calibration.transforms.items()
     }
     kept = {*entries, *transforms}
     names = tuple(name for name in calibration.names if name.rpartition(".")[0] in kept)
-    transforms |= {
-        name: Transform(pose, calibration.transform_covariance(name)) for name, pose in calibration.boards.items()
-    }
     surfaces = surfaces_of(calibration.calibrations[calibration.first].surface)
     surface = surfaces.pop("", None)
     board = calibration.calibrations[calibration.first].board
@@ -116,13 +111,8 @@ def _figures(calibration: RigCalibration) -> dict[str, Any]:
     figures = {
         "epipolar_rms_px": calibration.epipolar_rms_px,
         **{f"motion_{key}": value for key, value in motion.items()},
-        "links": [
-            {"cameras": list(link.cameras), "boards": list(link.boards), "captures": link.captures, "std_m": link.std}
-            for link in calibration.links
-        ]
-        or None,
-        "scales": {name or "board": {"scale": value, "std": std} for name, (value, std) in calibration.scales.items()}
-        or None,
+        "links": [link.as_data() for link in calibration.links] or None,
+        "scales": scales_data(calibration.scales) or None,
     }
     return {key: value for key, value in figures.items() if value is not None}
 
