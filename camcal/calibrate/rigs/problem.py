@@ -352,20 +352,25 @@ class RigProblem:
         return measured_blocks(self.measured, state.boards, starts, points, part.shape_basis, self.board_start)
 
     def change(self, before: RigState, after: RigState) -> Array:
-        """Return by how much free lens parameters and camera poses have changed, in the order of the shared ones."""
+        """Return by how much free lens parameters and poses have changed, in the order of the shared ones."""
         lenses = [
             (new - old)[part.free] for old, new, part in zip(before.lenses, after.lenses, self.parts, strict=True)
         ]
-        turns = so3.log(after.camera_rotations @ before.camera_rotations.transpose(0, 2, 1))
-        poses = np.concatenate([after.camera_translations - before.camera_translations, turns], axis=1)[1:]
-        return np.concatenate([*lenses, poses.ravel(), before.boards.steps_to(after.boards, self.attached)])
+        was, now = (BoardPoses(each.camera_rotations, each.camera_translations) for each in (before, after))
+        cameras = was.steps_to(now, range(len(self.parts) if self.poses_held else 1, len(self.parts)))
+        return np.concatenate([*lenses, cameras, before.boards.steps_to(after.boards, self.attached)])
 
     def shared_values(self, state: RigState) -> Array:
         """Return the shared parameters (D,) before the offsets of a state; poses as their steps from the identity."""
-        lenses = [state.lenses[camera][part.free] for camera, part in enumerate(self.parts)]
-        poses = np.concatenate([state.camera_translations, so3.log(state.camera_rotations)], axis=1)[1:]
-        boards = BoardPoses.one(len(state.boards.translations)).steps_to(state.boards, self.attached)
-        return np.concatenate([*lenses, poses.ravel(), boards, state.shape])
+        none = BoardPoses.one(len(self.parts))
+        origin = replace(
+            state,
+            lenses=tuple(0 * lens for lens in state.lenses),
+            camera_rotations=none.rotations,
+            camera_translations=none.translations,
+            boards=BoardPoses.one(len(state.boards.translations)),
+        )
+        return np.concatenate([self.change(origin, state), state.shape])
 
     def prior_precision(self, state: RigState) -> Array:
         """Return the precision (D, D) of the priors of the same parameters."""
