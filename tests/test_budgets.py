@@ -18,12 +18,12 @@ LINES = {
     "__main__": 6,
     "arrays": 42,
     "calibrate": 8625,
-    "cameras": 4019,
+    "cameras": 4045,
     "cli": 3688,
     "errors": 137,
     "estimate": 8715,
     "files": 398,
-    "formats": 13554,
+    "formats": 13557,
     "geometry": 963,
     "images": 2180,
     "messages": 233,
@@ -45,8 +45,8 @@ LINES = {
     "tasks": 24216,
     "urls": 99,
 }
-PARTS = {"modules": 478, "records": 715, "records named in one module": 218, "short functions with one reference": 508}
-PASSED = {"modules": 157, "functions": 1172, "records": 144}  # from a table of detections to a camera file
+PARTS = {"modules": 478, "records": 715, "records named in one module": 218, "short functions with one reference": 509}
+PASSED = {"modules": 157, "functions": 1174, "records": 146}  # from a table of detections to a camera file
 SHORT = 5  # lines of a function's body, which could as well stand where it is called
 
 

@@ -164,10 +164,7 @@ def rim(
     border, centre = border_pixels(*camera.image_size, per_edge), np.array([camera.value("cx"), camera.value("cy")])
     border = border if circle is None else circle.clipped(centre, border)
     within = _radial_shares(camera, border - centre)
-    if within is not None:
-        folded = within < 1
-    else:
-        folded = ~(camera.unproject(border).valid if seen is None else seen)
+    folded = ~(camera.unproject(border).valid if seen is None else seen) if within is None else within < 1
     reach = border[folded] - centre
     low, width = np.zeros((len(reach), 1)), 1.0
     length = np.linalg.norm(reach, axis=1)
