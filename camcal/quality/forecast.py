@@ -28,10 +28,10 @@ _LEAST_STD = 1e-12  # of a term of a board's shape, in its unit
 def forecast_pose(camera: Camera, points: Array, camera_T_object: Pose, noise_px: float) -> tuple[Array, float]:
     """Return the covariance (6, 6) that the pose of points (N, 3), given in the object frame, will have, and `p_wrong`.
 
-    The order is tx ty tz rx ry rz (points' unit, rad). p_wrong: how often another minimum will fit better than the true
-    one. noise_px: standard deviation of a pixel coordinate. The uncertainty of the camera's own parameters counts where it
-    is known. Two minima whose exact χ² differ by D are exchanged by the noise with probability Φ(-√D / 2), the error
-    of telling two known signals apart (Kay, Detection Theory, 1998, ch. 4).
+    The order is tx ty tz rx ry rz (points' unit, rad). p_wrong: how often another minimum will fit better than the
+    true one. noise_px: standard deviation of a pixel coordinate. The uncertainty of the camera's own parameters counts
+    where it is known. Two minima whose exact χ² differ by D are exchanged by the noise with probability Φ(-√D / 2), the
+    error of telling two known signals apart (Kay, Detection Theory, 1998, ch. 4).
     Raises InsufficientData if a point is outside the lens's domain or the points do not fix the pose.
     """
     projection = camera.project(camera_T_object.apply(points))
