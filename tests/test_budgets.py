@@ -18,12 +18,12 @@ LINES = {
     "__main__": 6,
     "arrays": 42,
     "calibrate": 8625,
-    "cameras": 3973,
+    "cameras": 4019,
     "cli": 3688,
     "errors": 137,
     "estimate": 8715,
     "files": 398,
-    "formats": 13212,
+    "formats": 13554,
     "geometry": 963,
     "images": 2180,
     "messages": 233,
@@ -45,7 +45,7 @@ LINES = {
     "tasks": 24216,
     "urls": 99,
 }
-PARTS = {"modules": 477, "records": 713, "records named in one module": 218, "short functions with one reference": 508}
+PARTS = {"modules": 478, "records": 715, "records named in one module": 218, "short functions with one reference": 508}
 PASSED = {"modules": 157, "functions": 1172, "records": 144}  # from a table of detections to a camera file
 SHORT = 5  # lines of a function's body, which could as well stand where it is called
 

@@ -135,28 +135,72 @@ class Ptlens(Brief, AnglePlane):
 
     plane_parameters: ClassVar[tuple[Parameter, ...]] = _powers({3: -0.02, 4: 0.002})[:3]
     prior_reach: ClassVar[float] = 1.0
+    farthest: ClassVar[float] = FAR  # t where the plane ends
+
+    @staticmethod
+    def _ideal(theta: Array) -> tuple[Array, Array]:
+        """Return t and its derivative at θ (n,)."""
+        tangent = np.tan(theta)
+        return tangent, 1.0 + tangent * tangent
+
+    @staticmethod
+    def _theta(ideal: Array) -> Array:
+        """Return θ at t (n,)."""
+        return np.arctan(ideal)
 
     def is_pinhole(self, parameters: Array) -> bool:
-        """Return whether no term moves a point."""
-        return not np.any(parameters[4:])
+        """Return whether no term moves a point, and the plane is a pinhole's."""
+        return type(self) is Ptlens and not np.any(parameters[4:])
 
     def _radius(self, theta: Array, plane: Values) -> Array:
-        return _polynomial(np.tan(theta), plane)[0]
+        return _polynomial(self._ideal(theta)[0], plane)[0]
 
     def _slopes(self, theta: Array, radius: Array, plane: Values) -> tuple[Array, ...]:  # noqa: ARG002
-        tangent = np.tan(theta)
-        along = _polynomial(tangent, plane)[1] * (1.0 + tangent * tangent)
-        return along, *(tangent**power for power in (2, 3, 4))
+        ideal, slope = self._ideal(theta)
+        return _polynomial(ideal, plane)[1] * slope, *(ideal**power for power in (2, 3, 4))
+
+    def _end(self, plane: Values) -> float:
+        """Return t where the lens ends."""
+        return min(first_root(np.array([1.0, *(power * own for power, own in enumerate(plane, 2))])), self.farthest)
 
     def _edge(self, plane: Values) -> tuple[float, float]:
-        end = min(first_root(np.array([1.0, *(power * own for power, own in enumerate(plane, 2))])), FAR)
-        return math.atan(end), float(_polynomial(np.array([end]), plane)[0][0])
+        end = np.array([self._end(plane)])
+        return float(self._theta(end)[0]), float(_polynomial(end, plane)[0][0])
 
     def _lift(self, x: Array, y: Array, plane: Values) -> Array:
         radius = np.sqrt(x * x + y * y)
-        tangent = _inverse(lambda place: _polynomial(place, plane), radius, math.tan(self._edge(plane)[0]))
-        scale = np.divide(tangent, radius, out=np.ones_like(radius), where=radius > 0)
-        return np.asarray(np.stack([x * scale, y * scale, np.ones_like(x)]) / np.sqrt(1.0 + tangent * tangent))
+        theta = self._theta(_inverse(lambda place: _polynomial(place, plane), radius, self._end(plane)))
+        scale = np.divide(np.sin(theta), radius, out=np.ones_like(radius), where=radius > 0)
+        return np.stack([x * scale, y * scale, np.cos(theta)])
+
+
+@dataclass(frozen=True)
+class PtlensEquisolid(Ptlens):
+    """Ptlens with t = 2 sin(θ/2)."""
+
+    farthest: ClassVar[float] = 2.0
+
+    @staticmethod
+    def _ideal(theta: Array) -> tuple[Array, Array]:
+        return 2.0 * np.sin(theta / 2), np.cos(theta / 2)
+
+    @staticmethod
+    def _theta(ideal: Array) -> Array:
+        return np.asarray(2.0 * np.arcsin(ideal / 2))
+
+
+@dataclass(frozen=True)
+class PtlensStereographic(Ptlens):
+    """Ptlens with t = 2 tan(θ/2)."""
+
+    @staticmethod
+    def _ideal(theta: Array) -> tuple[Array, Array]:
+        tangent = np.tan(theta / 2)
+        return 2.0 * tangent, 1.0 + tangent * tangent
+
+    @staticmethod
+    def _theta(ideal: Array) -> Array:
+        return np.asarray(2.0 * np.arctan(ideal / 2))
 
 
 @dataclass(frozen=True)
@@ -229,5 +273,7 @@ MODELS = (
     Ftheta("ftheta", (), "fisheye: the radius is a polynomial of the angle"),
     FthetaInverse("ftheta_inverse", (), "fisheye: the angle is a polynomial of the radius"),
     Ptlens("ptlens", (), "PTLens and lensfun: three powers of the radius"),
+    PtlensEquisolid("ptlens_equisolid", (), "lensfun's fisheye: three powers of 2 sin(θ/2)"),
+    PtlensStereographic("ptlens_stereographic", (), "lensfun's fisheye: three powers of 2 tan(θ/2)"),
     Ocam("ocam", SHEAR, "Scaramuzza's: the ray's depth is a polynomial of the radius", ("scaramuzza",)),
 )

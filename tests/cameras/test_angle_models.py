@@ -64,8 +64,18 @@ def test_the_radius_of_ptlens_is_a_polynomial_of_that_of_a_pinhole():
 
 
 @given(terms=st.tuples(small, small, small))
-def test_ptlens_is_inverted_over_its_whole_domain(terms):
-    assert round_trip_error(camera("ptlens", *terms), 1e-3) < 1e-9
+@pytest.mark.parametrize("name", ["ptlens", "ptlens_equisolid", "ptlens_stereographic"])
+def test_ptlens_is_inverted_over_its_whole_domain(name, terms):
+    assert round_trip_error(camera(name, *terms), 1e-3) < 1e-9
+
+
+def test_the_radius_of_ptlens_for_fisheyes_is_a_polynomial_of_theirs():
+    theta = np.radians(np.arange(0, 150, 5.0))
+    for name, ideal in (("ptlens_equisolid", 2 * np.sin(theta / 2)), ("ptlens_stereographic", 2 * np.tan(theta / 2))):
+        found = camera(name, *TERMS[:3]).project(2 * rays(theta, np.zeros_like(theta)))
+        expected = ideal + 0.03 * ideal**2 - 0.05 * ideal**3 + 0.01 * ideal**4
+        assert found.valid[theta < 1].all()
+        np.testing.assert_allclose(found.pixels[found.valid, 0], (500 * expected + 319.5)[found.valid], atol=1e-9)
 
 
 def test_they_end_where_they_fold():

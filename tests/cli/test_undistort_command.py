@@ -151,3 +151,20 @@ def test_images_do_not_go_to_standard_output(run, folder):
     assert (code, out) == (2, "")
     assert err.startswith("camcal: error: --output writes only --points to standard output; name a folder for images")
     assert not (folder / "-").exists()
+
+
+def test_a_lens_of_lensfun_undistorts_images_with_its_lateral_colour(run, folder):
+    (folder / "lenses.xml").write_text(
+        "<lensdatabase><lens><maker>M</maker><model>M Zoom 20-40mm</model><cropfactor>1.5</cropfactor><calibration>"
+        '<distortion model="poly3" focal="20" k1="-0.02"/><distortion model="poly3" focal="40" k1="0.01"/>'
+        '<tca model="poly3" focal="20" vr="1.01" vb="1"/></calibration></lens></lensdatabase>'
+    )
+    code, out, err = run("undistort", "lenses.xml#zoom@30", "photos/1.png", "-o", "out")
+    assert (code, err) == (0, "")
+    assert "red and blue of colour images undistorted with their own lens models" in out
+    assert list(native.read(folder / "out" / "camera.yaml").cameras) == ["zoom_30"]
+    code, out, err = run("convert", "lenses.xml#zoom@30", "camera.yaml", "--size", "120x80")
+    assert (code, list(native.read(folder / "camera.yaml").cameras)) == (0, ["zoom_30"])
+    code, out, err = run("undistort", "lenses.xml", "photos/1.png", "-o", "out")
+    assert code == 2
+    assert "holds 2 cameras (M_Zoom_20_40mm_20mm, M_Zoom_20_40mm_40mm); choose one" in err

@@ -15,7 +15,7 @@ from camcal.cameras.model import Camera
 from camcal.errors import CamcalError, FileError, InvalidInput
 from camcal.formats.camera_file import CameraEntry, CameraFile, pose_between
 from camcal.formats.cameras.recognition import ROWS, Row, named, recognise
-from camcal.formats.cameras.record import ANY_FRAME, CameraFormat, Given, Source, name_of_topic
+from camcal.formats.cameras.record import ANY_FRAME, CameraFormat, Given, Source, name_of, name_of_topic
 from camcal.formats.native import implausible
 from camcal.geometry.pose import frames_of
 from camcal.images.videos import address_of
@@ -53,6 +53,7 @@ class _Registry(Mapping[str, CameraFormat]):
 FORMATS: Mapping[str, CameraFormat] = _Registry()
 
 _LARGEST = 64 << 20
+_LISTED = 12  # cameras that a message names
 _NOTHING = Given()
 
 
@@ -84,7 +85,8 @@ def read(
             error.message += f"; read as {form.title}"
         raise
     if form.name != OWN:
-        doubts = (replace(warning, where=f"{path}: {warning.where}") for warning in implausible(file))
+        doubted = () if form.is_library else implausible(file)
+        doubts = (replace(warning, where=f"{path}: {warning.where}") for warning in doubted)
         origin = {"file": path.name, "format": form.name, "exact": True}
         file = replace(file, warnings=(*file.warnings, *doubts), converted_from=origin)
     warn_of(file.warnings, progress)
@@ -166,15 +168,23 @@ def select(file: CameraFile, name: str | None, where: str) -> CameraEntry:
     names = list(file.cameras)
     if name is None and len(names) > 1:
         one = f"{where}#{names[0]}"
-        raise InvalidInput(f"holds {len(names)} cameras ({', '.join(names)}); choose one, such as {one}", where=where)
-    if name is not None and name not in names:
+        shown = ", ".join(names[:_LISTED]) + ", …" * (len(names) > _LISTED)
+        raise InvalidInput(f"holds {len(names)} cameras ({shown}); choose one, such as {one}", where=where)
+    if name is not None and name not in file.cameras:
         raise InvalidInput(f"no camera {name!r}{did_you_mean(name, names)}", where=where)
     return file.cameras[name or names[0]]
 
 
 def only(file: CameraFile, name: str, where: str) -> CameraFile:
     """Return a file with one of its cameras; what joins it to others is left out."""
-    return replace(file, cameras={name: select(file, name, where)}, transforms={}, joint_covariance=None)
+    own = {name_in(file, name): select(file, name, where)}
+    return replace(file, cameras=own, transforms={}, joint_covariance=None)
+
+
+def name_in(file: CameraFile, wanted: str | None) -> str:
+    """Return the name of the camera that is wanted, of the only one for None; a lens of a library has none before."""
+    names = list(file.cameras)
+    return names[0] if wanted is None else wanted if wanted in names else name_of(wanted)
 
 
 def format_for(path: Path, wanted: str | None, source: CameraFormat, *, by_suffix: bool = False) -> CameraFormat:

@@ -91,6 +91,7 @@ class CameraFormat:
     frames: frozenset[str] = frozenset()
     files: int = 1
     in_folder: bool = False
+    is_library: bool = False
 
 
 def read_only(program: str) -> Callable[[Path, CameraFile], None]:

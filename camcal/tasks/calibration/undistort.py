@@ -223,9 +223,8 @@ def read_source(
     file = read_camera_file(options.camera_file, options.given, progress, size_of_images)
     wanted = options.camera_name or addressed
     entry = cameras.select(file, wanted, str(path or "--camera-matrix"))
-    return SourceCamera(
-        path, wanted or next(iter(file.cameras)), entry.camera, entry.channels, entry.image_circle, entry.verdict
-    )
+    name = cameras.name_in(file, wanted)
+    return SourceCamera(path, name, entry.camera, entry.channels, entry.image_circle, entry.verdict)
 
 
 def write_view(
