@@ -41,7 +41,7 @@ from camcal.solve.least_squares import linearise
 from camcal.solve.steps import factorise
 from camcal.targets.board import Board, Surface
 from camcal.targets.detection import BoardDetection
-from camcal.tasks.calibration.handeye import candidates_of
+from camcal.tasks.calibration.handeye_poses import candidates_of
 
 BOARD, SIZE = Board("chessboard", 9, 6, 0.025), (1280, 960)
 LENS = np.array([1100.0, 1101.0, 640.0, 478.0, -0.2, 0.08, 5e-4, -3e-4, 0.0])
@@ -112,7 +112,7 @@ def one(rng, in_hand, shift, turn, opencv):
     rig, _ = estimate_known([known], [Pose.identity()], KnownBoard(Surface.flat(BOARD)), {0: prior_of(known)})
     poses = RobotPoses(robot, np.arange(len(views)), in_hand, (1.0, 1.0), np.ones(len(views)))
     camera = Poses(rig.state.rotations, rig.state.translations)
-    found = estimate_robot(rig, poses, closed_form(poses.world_T_carrier, camera))
+    found = estimate_robot(rig.problem, rig.state, poses, closed_form(poses.world_T_carrier, camera))
     spent = time.process_time() - start
     true = replace(poses, sigmas=(max(shift, 1e-7), max(turn, 1e-7)))
     bound = factorise(linearise(RobotProblem(found.problem.rig, true), found.state)).shared_covariance()[-OWN:, -OWN:]

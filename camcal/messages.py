@@ -126,6 +126,8 @@ CODES: Mapping[str, Mapping[str, str]] = {
         "repeated_robot_pose": "poses of a robot are repeated: they show nothing new",
         "doubtful_robot_pose": "poses of a robot fit no other: they hardly count",
         "large_robot_noise": "the noise of a robot is larger than any robot has",
+        "robot_delay": "poses of a robot are of other times than the images, which is taken out",
+        "robot_scale": "lengths of a robot do not fit those of the board",
         "systematic_robot": "position errors of a robot are linear in position, not noise",
         "images_used_again": "images that a camera was calibrated from are used again: its lens is estimated from them",
         "replaced_view": "the camera file of an undistorted view was replaced by that of another one",

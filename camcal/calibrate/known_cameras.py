@@ -128,17 +128,22 @@ def examine(known: Sequence[KnownCamera], poses: Sequence[Pose], board: KnownBoa
 
 
 def estimate_known(
-    known: Sequence[KnownCamera], poses: Sequence[Pose], board: KnownBoard, priors: dict[int, LensPrior]
+    known: Sequence[KnownCamera],
+    poses: Sequence[Pose],
+    board: KnownBoard,
+    priors: dict[int, LensPrior],
+    held: bool = False,
 ) -> tuple[RigEstimate, RigState] | None:
     """Return the estimate of new views of cameras at poses camera_T_rig, with priors of their lenses by the places of
     cameras, and where it started; None where the lens of a camera cannot take the corners at all.
 
-    Errors within views are taken for noise. Raises InsufficientData where views leave parameters undetermined.
+    held: whether the cameras stay where they are in the rig. Errors within views are taken for noise.
+    Raises InsufficientData where views leave parameters undetermined.
     """
     started = _start(known, poses, board, priors)
     if started is None:
         return None
-    problem, start = started
+    problem, start = replace(started[0], poses_held=held), started[1]
     additional = AdditionalParameters(not board.shape_known, problem.board.count <= TOGETHER)
     try:
         found = _estimate(problem, start, additional)

@@ -123,8 +123,8 @@ _CALLS = {  # a comment with the purpose above each call, as in a shell
         handeye camera.yaml images/ --robot poses.csv -o hand.yaml
         # Where it stands beside the robot, with the board in the hand
         handeye camera.yaml images/ --robot poses.txt --eye-to-hand -o base.yaml
-        # The lens estimated too, from these images alone
-        handeye camera.yaml images/ --robot poses.csv --free-lens -o hand.yaml
+        # Poses of the board of another program in the place of images
+        handeye --camera-poses board.csv --robot poses.csv -o hand.yaml
     """,
     "check": """
         # Whether last month's calibration still holds

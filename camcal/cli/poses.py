@@ -14,7 +14,7 @@ from camcal.tasks.poses.smooth_options import SmoothOptions, TrackingOptions
 if TYPE_CHECKING:
     from camcal.estimate.curves.curve import CurveFit, Estimate
     from camcal.estimate.curves.fit import End
-    from camcal.tasks.calibration.handeye import HandEyeReport
+    from camcal.report.handeye import HandEyeReport
     from camcal.tasks.curves.fit_report import FitReport
     from camcal.tasks.poses.pnp import PnpReport
     from camcal.tasks.poses.smooth import Smoothing
@@ -243,7 +243,7 @@ def handeye(options: HandEyeOptions, call: ImageCall) -> None:
     How the robot's poses are written, which way they are and their unit are told from the images where they are not
     given, and said. The robot's own noise is estimated, with its intervals.
     """
-    from camcal.tasks.calibration.handeye import document
+    from camcal.report.handeye import document
     from camcal.tasks.calibration.handeye import handeye as run
 
     report = run(options, call.progress)
@@ -251,9 +251,9 @@ def handeye(options: HandEyeOptions, call: ImageCall) -> None:
 
 
 def _show_handeye(report: "HandEyeReport", verbose: bool) -> None:
-    from camcal.tasks.calibration.handeye import COLUMNS, noise_words, rows
+    from camcal.report.handeye import COLUMNS, noise_words, rows
 
     show.text(f"Poses of the robot read as {report.words}")
     show.table("transforms", COLUMNS, rows(report), verbose=verbose)
     show.text(noise_words(report))
-    show.wrote(report.output)
+    show.wrote(*report.outputs)

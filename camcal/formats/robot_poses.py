@@ -1,14 +1,17 @@
 """Poses of a robot as robots and people write them: a row of numbers each, in a form that the file seldom says.
 
 Rows of text or CSV, after the name of an image or without one; 4 x 4 matrices on lines of four; a list in YAML or JSON,
-of numbers, matrices, or mappings such as ROS's position and orientation.
+of numbers, matrices, or mappings such as ROS's position and orientation; a MATLAB file (version 5 to 7.2) with one
+array of them, 4 x 4 x N or a row each.
 """
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from io import BytesIO
+from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -21,7 +24,10 @@ from camcal.geometry.rotation import EulerOrder
 from camcal.parsing import is_number, parse_numbers
 
 _UNITS = ("rad", "deg")
-_ORDERS = ("XYZ", "XZY", "YXZ", "YZX", "ZXY", "ZYX", "ZYZ", "ZXZ", "xyz", "zyx")
+_ORDERS = tuple(
+    "".join(axes) for axes in product("XYZ", repeat=3) if axes[0] != axes[1] != axes[2]
+)  # intrinsic ones; in small letters extrinsic ones
+_COUNTS = (6, 7, 8, 12, 16)
 _LARGEST = 16 << 20
 _SEPARATORS = re.compile(r"[\s,;\[\]()]+")
 _PLACE = ("position", "translation", "t", "xyz", "tvec")
@@ -36,6 +42,12 @@ class RobotRows:
     numbers: Array
     names: tuple[str, ...] | None = None
 
+    @property
+    def times(self) -> Array | None:
+        """The times (N,) of poses, s, where the file has what can be times."""
+        first = self.numbers[:, 0]
+        return first if self.numbers.shape[1] == 8 and len(first) > 1 and (np.diff(first) > 0).all() else None
+
     def forms(self) -> tuple[Form, ...]:
         """Return the forms that rows of so many numbers may have."""
         count = self.numbers.shape[1]
@@ -45,14 +57,17 @@ class RobotRows:
             return (Form("tum"), Form("dual-quat"))
         if count == 7:
             return (Form("ros"), Form("quat", "wxyz"), Form("colmap"))
-        angles = (Form("euler", euler=EulerOrder.named(order), unit=unit) for order in _ORDERS for unit in _UNITS)
+        orders = (*_ORDERS, *map(str.lower, _ORDERS))
+        angles = (Form("euler", euler=EulerOrder.named(order), unit=unit) for order in orders for unit in _UNITS)
         return (*(Form("rvec", unit=unit) for unit in _UNITS), *angles)
 
 
 def read(path: Path) -> RobotRows:
     """Return the rows of a file; raises FileError, InvalidInput for what is no list of poses."""
-    text = files.read_text(path, _LARGEST)
     where = str(path)
+    if path.suffix.lower() == ".mat":
+        return RobotRows(_finite(_of_matlab(path), where))
+    text = files.read_text(path, _LARGEST)
     if path.suffix.lower() in (".yaml", ".yml", ".json"):
         rows = list(_of_document(parse_foreign(_as_mapping(text), where).data))
     else:
@@ -63,14 +78,56 @@ def read(path: Path) -> RobotRows:
     if not rows:
         raise FileError("holds no poses: a row of numbers each", where=where)
     counts = sorted({len(row) for _, row in rows})
-    if len(counts) > 1 or counts[0] not in (6, 7, 8, 12, 16):
+    if len(counts) > 1 or counts[0] not in _COUNTS:
         found = " and ".join(map(str, counts))
         raise InvalidInput(f"rows of {found} numbers; a pose has 6, 7, 8, 12 or 16", where=where)
-    numbers = np.array([row for _, row in rows], float)
-    if not np.isfinite(numbers).all():
-        raise InvalidInput("holds numbers that are not finite", where=where)
+    numbers = _finite(np.array([row for _, row in rows], float), where)
     names = tuple(name for name, _ in rows)
     return RobotRows(numbers, names if all(names) else None)
+
+
+def _finite(numbers: Array, where: str) -> Array:
+    if not np.isfinite(numbers).all():
+        raise InvalidInput("holds numbers that are not finite", where=where)
+    return numbers
+
+
+def _of_matlab(path: Path) -> Array:
+    """Return the numbers (N, k) of the one array of a MATLAB file that can be poses; raises FileError, InvalidInput."""
+    from scipy.io import loadmat
+
+    if len(content := files.read_bytes(path, _LARGEST)) < 128:
+        raise FileError("is no MATLAB file", where=str(path))
+    try:
+        variables = loadmat(cast(Any, BytesIO(content)))
+    except Exception as error:  # of a damaged file the reader raises any kind
+        raise FileError(
+            f"is no MATLAB file of version 5 to 7.2: save it with -v7 ({error})", where=str(path)
+        ) from error
+    found = {name: rows for name, value in variables.items() if (rows := _of_array(value)) is not None}
+    if len(found) != 1:
+        listed = f"poses in several variables: {', '.join(found)}" if found else "no array 4 x 4 x N or N x 6 of poses"
+        raise InvalidInput(f"{listed}; one is needed", where=str(path))
+    return next(iter(found.values()))
+
+
+def _of_array(value: Any) -> Array | None:
+    """Return the numbers (N, k) of an array of MATLAB, or of its cells, None where it cannot be poses."""
+    if not isinstance(value, np.ndarray):
+        return None
+    if value.dtype == object and value.size:
+        cells = [np.asarray(each) for each in value.ravel()]
+        same = {each.shape for each in cells} <= {(4, 4), (3, 4)} and len({each.shape for each in cells}) == 1
+        value = np.stack(cells, axis=2) if same else value
+    if value.dtype.kind not in "fiu":
+        return None
+    if value.ndim == 3 and value.shape[:2] in ((4, 4), (3, 4)):
+        matrices = np.moveaxis(np.asarray(value, float), 2, 0)
+        # a row vector times its matrix, as MATLAB had it before 2022b
+        if value.shape[0] == 4 and not matrices[:, :3, 3].any() and matrices[:, 3, :3].any():
+            matrices = matrices.transpose(0, 2, 1)
+        return np.asarray(matrices.reshape(len(matrices), -1))
+    return np.asarray(value, float) if value.ndim == 2 and value.shape[1] in _COUNTS and len(value) > 1 else None
 
 
 def _as_mapping(text: str) -> str:
@@ -118,7 +175,7 @@ def _pose(item: Any) -> list[float]:
     """Return the numbers of one pose, none where it is none."""
     if isinstance(item, list):
         numbers = _flat(item)
-        return numbers if len(numbers) in (6, 7, 8, 12, 16) else []
+        return numbers if len(numbers) in _COUNTS else []
     if not isinstance(item, Mapping):
         return []
     inner = next((item[key] for key in ("pose", "transform", "matrix", "T") if key in item), None)

@@ -62,7 +62,7 @@ def solve(detections, robot, in_hand=True, lens=LENS.parameters, *, free=False):
     rig, _ = estimate_known([known], [Pose.identity()], KnownBoard(Surface.flat(BOARD)), {0: prior})
     poses = RobotPoses(stacked(robot), np.arange(len(robot)), in_hand, (1.0, 1.0), np.ones(len(robot)))
     seen = Poses(rig.state.rotations, rig.state.translations)
-    return rig, poses, estimate_robot(rig, poses, closed_form(poses.world_T_carrier, seen))
+    return rig, poses, estimate_robot(rig.problem, rig.state, poses, closed_form(poses.world_T_carrier, seen))
 
 
 def errors(found):

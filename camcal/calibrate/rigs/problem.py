@@ -99,6 +99,11 @@ class RigProblem:
     def groups(self) -> tuple[int, int]:
         return self.count, POSE
 
+    @property
+    def _moving(self) -> int:
+        """The first camera whose pose is estimated."""
+        return len(self.parts) if self.poses_held else 1
+
     def pose_columns(self, camera: int) -> Array:
         """Return the places of a camera's pose among the shared parameters; none of the first camera's."""
         if not camera or self.poses_held:
@@ -259,13 +264,14 @@ class RigProblem:
             (new - old)[part.free] for old, new, part in zip(before.lenses, after.lenses, self.parts, strict=True)
         ]
         turns = so3.log(after.camera_rotations @ before.camera_rotations.transpose(0, 2, 1))
-        poses = np.concatenate([after.camera_translations - before.camera_translations, turns], axis=1)[1:]
+        apart = after.camera_translations - before.camera_translations
+        poses = np.concatenate([apart, turns], axis=1)[self._moving :]
         return np.concatenate([*lenses, poses.ravel()])
 
     def shared_values(self, state: RigState) -> Array:
         """Return the shared parameters (D,) before the offsets of a state; poses as their steps from the identity."""
         lenses = [state.lenses[camera][part.free] for camera, part in enumerate(self.parts)]
-        poses = np.concatenate([state.camera_translations, so3.log(state.camera_rotations)], axis=1)[1:]
+        poses = np.concatenate([state.camera_translations, so3.log(state.camera_rotations)], axis=1)[self._moving :]
         return np.concatenate([*lenses, poses.ravel(), state.shape])
 
     def prior_precision(self) -> Array:

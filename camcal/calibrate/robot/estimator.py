@@ -2,18 +2,20 @@
 
 The corners' noise and weights are those of the rig's estimate. Each pass solves for everything with the robot's noise
 as it is known, then takes the noise from the residuals of the robot's poses and what they have left (REML). Poses that
-do not fit count less, by a Student distribution.
+do not fit count less, by a Student distribution. In the end it is tested whether lengths or times are wrong.
 Source: Patterson & Thompson, Biometrika 58, 1971; Lange, Little & Taylor, JASA 84, 1989.
 """
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
 from camcal.arrays import Array
 from camcal.calibrate.problem import POSE
-from camcal.calibrate.rigs.estimator import RigEstimate
-from camcal.calibrate.robot.problem import OWN, RobotPoses, RobotProblem, RobotState
+from camcal.calibrate.rigs.problem import RigProblem
+from camcal.calibrate.robot.problem import LEAST_STD, OWN, SYSTEMATIC, RobotPoses, RobotProblem, RobotState, SeenPoses
 from camcal.calibrate.robot.start import HandEye, Poses
 from camcal.errors import InsufficientData
 from camcal.geometry.pose import Pose
@@ -24,7 +26,7 @@ from camcal.solve.steps import Factors, SingularError
 _DOF = 4.0  # of the Student distribution
 _INFORMATION = (_DOF + POSE + 2) / (_DOF + POSE)  # of a Gaussian pose over one of the Student distribution
 _CONSISTENT = 0.924  # of 6 coordinates, the mean of their weighted squares where all are Gaussian
-_PASSES, _SETTLED = 40, 1e-3
+_PASSES, _SETTLED = 100, 1e-3
 _LEAST = (1e-7, 1e-7)  # m and rad: a robot that is exact
 _LEFT = 0.05  # of the coordinates of a pose, however many were spent
 _HIDDEN = 0.1  # of them: a robot whose noise cannot be told from none
@@ -36,16 +38,15 @@ _SCALE = 1.4826
 class RobotEstimate:
     """Hand and eye.
 
-    carrier_T_rig, world_T_board: see RobotProblem. covariance: (12, 12) of the steps of both; lens_covariance: (F, F)
-    of the free lens parameters of all cameras. sigmas: the robot's noise of a coordinate, m and rad; dof: the degrees
-    of freedom that they were estimated with. residuals: (N, 6) of base_T_hand, m and rad. weights: (N,). scatter: the
-    variance from pose to pose over what the noise says.
+    carrier_T_rig, world_T_board: see RobotProblem. joint: (S, S) the covariance of the shared parameters. sigmas: the
+    robot's noise of a coordinate, m and rad; dof: the degrees of freedom that they were estimated with. residuals:
+    (N, 6) of base_T_hand, m and rad. weights: (N,). scatter: the variance from pose to pose over what the noise says.
+    systematic: by the names in SYSTEMATIC, what was estimated or could be tested, with its standard deviation.
     """
 
     problem: RobotProblem
     state: RobotState
-    covariance: Array
-    lens_covariance: Array
+    joint: Array
     sigmas: tuple[float, float]
     dof: tuple[float, float]
     residuals: Array
@@ -53,6 +54,13 @@ class RobotEstimate:
     scatter: float
     passes: int
     converged: bool
+    systematic: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+    @property
+    def covariance(self) -> Array:
+        """The covariance (12, 12) of the steps of both poses."""
+        start = self.problem.rig.shared
+        return self.joint[start : start + OWN, start : start + OWN]
 
     @property
     def carrier_T_rig(self) -> Pose:  # noqa: N802 - a_T_b
@@ -65,19 +73,27 @@ class RobotEstimate:
         return Pose(self.state.fixed.rotations[1], self.state.fixed.translations[1])
 
 
-def estimate_robot(found: RigEstimate, robot: RobotPoses, start: HandEye) -> RobotEstimate:
-    """Return hand and eye from a closed form on; raises InsufficientData where the poses leave them undetermined."""
-    rig = found.problem.with_parts([replace(part, offsets=False) for part in found.problem.parts])
+def estimate_robot(
+    rig: RigProblem | SeenPoses, seen: Any, robot: RobotPoses, start: HandEye, free: tuple[int, ...] = ()
+) -> RobotEstimate:
+    """Return hand and eye from a closed form on; raises InsufficientData where the poses leave them undetermined.
+
+    seen: the state of the rig. free: the places in SYSTEMATIC of what is estimated as well.
+    """
+    if isinstance(rig, RigProblem):
+        rig = rig.with_parts([replace(part, offsets=False) for part in rig.parts])
     fixed = [start.carrier_T_camera, start.world_T_board]
     poses = Poses(np.stack([each.rotation for each in fixed]), np.stack([each.translation for each in fixed]))
-    state = RobotState(found.state, poses)
     sigmas = tuple(
         max(_SCALE * float(np.median(own)) / np.sqrt(3), least)
         for own, least in zip((start.shifts, start.turns), _LEAST, strict=True)
     )
-    problem = RobotProblem(rig, replace(robot, sigmas=(sigmas[0], sigmas[1])))
+    if isinstance(rig, SeenPoses):
+        rig = replace(rig, turn_std=max(sigmas[1], LEAST_STD))
+    problem = RobotProblem(rig, replace(robot, sigmas=(sigmas[0], sigmas[1])), free)
     try:
-        return _estimate(problem, state)
+        found = _estimate(problem, RobotState(seen, poses))
+        return replace(found, systematic=_systematic(found))
     except (SingularError, np.linalg.LinAlgError) as error:
         raise InsufficientData(
             "the robot's poses leave the place of the camera open: turn the hand about two axes, by 30° and more"
@@ -102,29 +118,58 @@ def _estimate(problem: RobotProblem, state: RobotState) -> RobotEstimate:
         distances = (squares / sigmas[:, None] ** 2).sum(axis=0) * POSE / left
         weights = (_DOF + POSE) / (_DOF + distances)
         robot = replace(problem.robot, sigmas=(float(sigmas[0]), float(sigmas[1])), weights=weights)
-        problem = RobotProblem(problem.rig, robot)
+        problem = replace(problem, rig=_with_noise(problem.rig, state, factors), robot=robot)
         # noise that is far below what the corners leave open falls for ever: it is none
         settled = (np.abs(np.log(sigmas / before)) < _SETTLED) | (dof <= 3.0 * _HIDDEN * count)
         converged = bool(settled.all())
         if converged:
             break
     solution = minimise(problem, state, _STOPPING)
-    factors = solution.factors()
-    covariance, scatter = _covariance(problem, factors)
-    residuals = problem.robot_rows(solution.state)[0]
+    joint, scatter = _covariance(problem, solution.factors())
     return RobotEstimate(
         problem,
         solution.state,
-        covariance,
-        factors.shared_covariance()[: problem.rig.lens_starts[-1], : problem.rig.lens_starts[-1]],
+        joint,
         sigmas=problem.robot.sigmas,
         dof=(float(dof[0]), float(dof[1])),
-        residuals=residuals,
+        residuals=problem.robot_rows(solution.state)[0],
         weights=problem.robot.weights,
         scatter=scatter,
         passes=passes,
         converged=converged and solution.converged,
     )
+
+
+def _with_noise(rig: Any, state: RobotState, factors: Factors) -> Any:
+    """Return the problem of the captures with the noise of poses that were given without one."""
+    if not isinstance(rig, SeenPoses) or rig.covariances is not None:
+        return rig
+    residuals, derivatives = rig.rows(state.rig)
+    own = derivatives @ factors.group_covariances() @ derivatives.transpose(0, 2, 1)
+    spent = float(np.einsum("nii->", own[:, 3:, 3:])) / rig.turn_std**2
+    left = max(3.0 * len(residuals) - spent, 3.0 * _LEFT * len(residuals))
+    return replace(rig, turn_std=max(float(np.sqrt(np.sum(residuals[:, 3:] ** 2) / left)), LEAST_STD))
+
+
+def _systematic(found: RobotEstimate) -> dict[str, tuple[float, float]]:
+    """Return what is systematically wrong with the robot's poses, as it was estimated or would be with this noise, and
+    its standard deviation.
+    """
+    problem, state = found.problem, found.state
+    known = () if problem.robot.velocities is None else (1,)
+    tested = replace(problem, free=tuple(sorted({0, *known, *problem.free})))
+    if len(tested.robot.captures) * POSE < 3 * tested.own:
+        return {}
+    try:
+        solution = minimise(tested, state, _STOPPING)
+        joint, _ = _covariance(tested, solution.factors())
+    except (SingularError, np.linalg.LinAlgError):
+        return {}  # poses that leave it open
+    std = np.sqrt(np.diag(joint))[-len(tested.free) :]
+    return {
+        SYSTEMATIC[place]: (float(solution.state.systematic[place]), float(own))
+        for place, own in zip(tested.free, std, strict=True)
+    }
 
 
 def _residuals_and_spent(problem: RobotProblem, state: RobotState, factors: Factors) -> tuple[Array, Array]:
@@ -135,24 +180,30 @@ def _residuals_and_spent(problem: RobotProblem, state: RobotState, factors: Fact
     captures, shared = problem.robot.captures, factors.shared_covariance()
     groups = factors.group_covariances()[captures]
     coupling = factors.group_inverse.transpose(0, 2, 1) @ factors.reduced
-    across = -(coupling[captures] @ shared)[:, :, -OWN:]  # of group and fixed poses
+    across = -(coupling[captures] @ shared)[:, :, -problem.own :]  # of group and own parameters
     mixed = by_group @ across @ by_fixed.transpose(0, 2, 1)
     own = by_group @ groups @ by_group.transpose(0, 2, 1)
-    own += mixed + mixed.transpose(0, 2, 1) + by_fixed @ shared[-OWN:, -OWN:] @ by_fixed.transpose(0, 2, 1)
+    own += (
+        mixed
+        + mixed.transpose(0, 2, 1)
+        + by_fixed @ shared[-problem.own :, -problem.own :] @ by_fixed.transpose(0, 2, 1)
+    )
     variances = np.einsum("nii->ni", own).reshape(-1, 2, 3).sum(axis=2)
     spent = problem.robot.weights[:, None] * variances / np.array(problem.robot.sigmas) ** 2
     return residuals, np.minimum(spent, 3.0).T
 
 
 def _covariance(problem: RobotProblem, factors: Factors) -> tuple[Array, float]:
-    """Return the covariance (12, 12) of the fixed poses, no less than the scatter from pose to pose says, and that
-    scatter: its variance over what the noise says.
+    """Return the covariance (S, S) of the shared parameters, of its own ones no less than the scatter from pose to pose
+    says, and that scatter: its variance over what the noise says.
     """
-    claimed = factors.shared_covariance()
-    own = claimed[-OWN:, -OWN:] * _INFORMATION
+    claimed, size = factors.shared_covariance(), problem.own
+    own = claimed[-size:, -size:] * _INFORMATION
     count = len(problem.robot.captures)
-    steps = factors.group_scores()[problem.robot.captures] @ claimed[:, -OWN:]
+    steps = factors.group_scores()[problem.robot.captures] @ claimed[:, -size:]
     scatter = steps.T @ steps * count / max(count - 2, 1)  # two poses' worth of six coordinates are spent
     root = np.linalg.inv(np.linalg.cholesky(own))
-    ratio = float(np.trace(root @ scatter @ root.T) / OWN)
-    return own * max(ratio, 1.0), ratio
+    ratio = float(np.trace(root @ scatter @ root.T) / size)
+    wider = np.ones(len(claimed))
+    wider[-size:] = np.sqrt(_INFORMATION * max(ratio, 1.0))
+    return claimed * np.outer(wider, wider), ratio

@@ -23,6 +23,8 @@ _BLOCK = 3  # poses that stand apart at the least
 _MOVED, _APART = 25.0, 4.0  # F of the difference of two means, and that in standard deviations of one coordinate
 _SAME = (1e-5, np.radians(0.005))  # m and rad
 _TINY = 1e-7
+_FARTHEST = 20.0  # m, of a board
+_MILLI = 1e-3
 _ROUNDED = np.radians(0.01)  # of angles in a list
 
 
@@ -66,6 +68,31 @@ def read_robot(
                 known = scaled.inverse() if inverted else scaled
                 readings.append(Reading(words, inverted, scale, known, closed_form(_carrier(known, in_hand), camera)))
     return tuple(sorted(readings, key=lambda own: own.fit.score))
+
+
+def seen_form(
+    robot: Sequence[tuple[str, Poses]], camera: Sequence[tuple[str, Poses]], scales: Sequence[float], in_hand: bool
+) -> tuple[str, Poses]:
+    """Return the form that camera_T_board (N,) has been written in, by what the robot's poses say.
+
+    Both are given in the forms that they may have; poses in the other direction are turned about: the board is in front
+    of the camera, so that no depth is below zero. Lengths that no camera sees a board at are in mm.
+    """
+    mismatches = [min(angle_mismatch(other, own) for _, other in robot) for _, own in camera]
+    found = []
+    for (words, poses), mismatch in zip(camera, mismatches, strict=True):
+        # mirrored orders of Euler angles turn by the same
+        if mismatch > _BETTER * min(mismatches) + _TINY:
+            continue
+        back = poses.inverse()
+        inverted = poses.translations[:, 2].min() <= 0 < back.translations[:, 2].min()
+        known, said = (back, f"{words}, board_T_camera") if inverted else (poses, words)
+        if float(np.median(np.linalg.norm(known.translations, axis=1))) > _FARTHEST:
+            known, said = replace(known, translations=known.translations * _MILLI), f"{said}, mm"
+        found.append((said, known))
+    if len(found) == 1:
+        return found[0]
+    return min(found, key=lambda own: read_robot(robot, own[1], scales, (False, True), in_hand)[0].fit.score)
 
 
 def _carrier(base_T_hand: Poses, in_hand: bool) -> Poses:

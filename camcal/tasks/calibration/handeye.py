@@ -3,172 +3,285 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import inf
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from camcal import files
 from camcal.arrays import Array
 from camcal.calibrate.known_cameras import KnownBoard, KnownCamera, estimate_known, prior_of, wide_prior_of
 from camcal.calibrate.robot.estimator import RobotEstimate, estimate_robot
 from camcal.calibrate.robot.problem import RobotPoses
-from camcal.calibrate.robot.reading import (
-    LEAST_POSES,
-    Reading,
-    duplicates,
-    fits_better,
-    moved_from,
-    read_robot,
-    shift_of,
-    undetermined_axis,
-)
-from camcal.calibrate.robot.start import Poses
+from camcal.calibrate.robot.start import closed_form
 from camcal.cameras.observations import Observations
-from camcal.errors import InsufficientData, InvalidInput, NotConverged
-from camcal.formats import cameras, native, provenance, robot_poses
-from camcal.formats.camera_file import CameraEntry, CameraFile, JointCovariance, Transform
-from camcal.formats.pose_text import Form, form_named
-from camcal.geometry import rotation as so3
-from camcal.geometry.pose import Pose
+from camcal.errors import InvalidInput, NotConverged
+from camcal.formats import cameras, frames, native, provenance, robot_poses
+from camcal.formats.camera_file import (
+    STEP,
+    CameraEntry,
+    CameraFile,
+    JointCovariance,
+    Transform,
+    ValidRegion,
+    rig_of,
+)
+from camcal.geometry.pose import NamedTransform, Pose, frames_of
 from camcal.messages import Message, counted
 from camcal.options import command_line
 from camcal.progress import SILENT, Progress, stage, warn_of
 from camcal.quality.camera_check import usable
-from camcal.report.table import Column
+from camcal.report.handeye import SIGNIFICANT, HandEyeReport, report_of
 from camcal.run.outputs import claim, writes
 from camcal.run.paths import split_address
-from camcal.targets.board import Surface
+from camcal.targets.board import Board, Surface
 from camcal.targets.detection import BoardDetection
 from camcal.tasks.calibration.board_views import board_views, view_settings
-from camcal.tasks.calibration.handeye_options import BASE_T_HAND, HAND_T_BASE, UNITS, HandEyeOptions
-from camcal.tasks.given_camera import require_no_image
-
-COLUMNS = (
-    Column("transform"),
-    Column("x", "mm"),
-    Column("y", "mm"),
-    Column("z", "mm"),
-    Column("± std", "mm"),
-    Column("rotation vector", "deg"),
-    Column("± std", "deg"),
+from camcal.tasks.calibration.handeye_options import HandEyeOptions
+from camcal.tasks.calibration.handeye_poses import (
+    ReadPoses,
+    SeenBoard,
+    by_time,
+    places_of,
+    read_poses,
+    require_enough,
+    seen_poses,
+    time_of,
 )
-_MILLI = 1e3
+from camcal.tasks.given_camera import require_no_image
+from camcal.tasks.rigs.options import RigSettings
+from camcal.tasks.rigs.rig_views import rig_views
+
+CAMERA = "camera"  # the name of one that no file names
 _FOREIGN_PX = 3.0  # of corners, with a lens that is not theirs
-_LARGE = (5e-3, np.radians(0.5))  # m and rad: noise of no robot that is sound
-_DOUBTFUL = 0.3  # the weight below which a pose of the robot is named
-_SYSTEMATIC = 0.3  # of the variance of its position errors, linear in position
+_LATER = 0.1  # of its standard deviation, by which a delay may change at last
+_ROUNDS = 6
 
 
 @dataclass(frozen=True, eq=False)
-class HandEyeReport:
-    """Hand and eye. transforms: by their names, with covariances. noise: of the robot, σ with its 95 % interval, m and
-    rad. doubtful: images whose pose of the robot hardly counts. words: how the poses were read.
+class GivenCameras:
+    """The cameras that a robot carries or faces: one of a file or a rig, or none where poses of the board are given.
+
+    frame: the name of the frame that their poses camera_T_rig are in. known: what is known of those that took images.
     """
 
-    transforms: Mapping[str, Transform]
-    estimate: RobotEstimate
-    noise: tuple[tuple[float, float, float], tuple[float, float, float]]
-    images: tuple[str, ...]
-    doubtful: tuple[str, ...]
-    systematic: float
-    words: str
-    output: Path | None
-    warnings: tuple[Message, ...]
+    file: CameraFile | None
+    cameras: Mapping[str, CameraEntry]
+    frame: str = CAMERA
+    poses: Mapping[str, Pose] | None = None
 
 
 @writes
 def handeye(options: HandEyeOptions, progress: Progress = SILENT) -> HandEyeReport:
     """Return where the camera and the board stand, after writing the camera file with these transforms.
 
+    Without a camera file, of poses of the board, that is a file of transforms alone.
     Raises InvalidInput for poses that cannot be of these images, with what is wrong with them where that is known,
     InsufficientData for too few poses or too little rotation, NotConverged, FileError.
     """
+    if options.output is None:
+        raise InvalidInput("--output is needed")
+    outputs = tuple(each for each in (options.output, options.report) if each is not None)
+    claim(outputs)
+    given, _, board, report = solve_handeye(options, progress)
+    images = [{"file": image} for image in report.images]
+    if given.file is None:
+        named = [
+            NamedTransform(*frames_of(name), each.pose, each.covariance) for name, each in report.transforms.items()
+        ]
+        frames.write(options.output, named)
+    else:
+        entries = dict(given.cameras)
+        if options.free_lens and board is not None:
+            lenses = report.estimate.state.rig.lenses
+            entries = {
+                name: _with_lens(entry, report.estimate, place, lenses[place])
+                for place, (name, entry) in enumerate(entries.items())
+            }
+        kept = given.file.transforms if given.poses is not None else {}
+        covariance = report.estimate.covariance
+        names = [f"{name}.{step}" for name in report.transforms for step in STEP]
+        written = CameraFile(
+            entries,
+            {**kept, **report.transforms},
+            JointCovariance(tuple(names), covariance),
+            provenance=provenance.build(command_line("handeye", options), board, images),
+        )
+        native.write(options.output, written)
+    if options.report is not None:
+        from camcal.report.page.handeye import handeye_page
+        from camcal.report.page.record import rendered
+        from camcal.tasks.reports.closing import made
+
+        files.write_text(options.report, rendered(handeye_page(report, str(options.robot), made())))
+    return replace(report, outputs=outputs)
+
+
+def solve_handeye(
+    options: HandEyeOptions, progress: Progress = SILENT
+) -> tuple[GivenCameras, SeenBoard, Board | None, HandEyeReport]:
+    """Return the cameras, what they saw and of which board, and hand and eye, without writing them; see `handeye`."""
+    if options.robot is None:
+        raise InvalidInput("--robot is needed")
+    if (options.camera_poses is None) == (not options.camera or not options.inputs):
+        raise InvalidInput("CAMERA and IMAGES are needed, or --camera-poses in the place of images")
+    given = _given_cameras(options, progress)
+    rows = robot_poses.read(options.robot)
+    warnings: tuple[Message, ...] = ()
+    board: Board | None = None
+    with stage(progress, "estimating"):
+        if options.camera_poses is not None:
+            seen = seen_poses(options.camera_poses, rows, options)
+        else:
+            seen, board, warnings = _seen_in_images(options, given, rows, progress)
+        known = read_poses(options, rows, seen)
+        estimate, delay = _estimate(seen, known, options)
+    if not estimate.converged:
+        raise NotConverged(f"hand and eye not converged after {estimate.passes} passes")
+    transforms = _transforms(estimate, given.frame, options.eye_to_hand)
+    words = f"{known.words}; of the board as {seen.words}" if seen.words else known.words
+    report = report_of(estimate, transforms, delay, seen.images, words, warnings + known.warnings)
+    warn_of(report.warnings, progress)
+    return given, seen, board, report
+
+
+def _given_cameras(options: HandEyeOptions, progress: Progress) -> GivenCameras:
+    """Return the cameras of the file that was given, the one that was named, or those of a rig."""
+    if not options.camera:
+        return GivenCameras(None, {})
     path, name = split_address(options.camera)
     require_no_image(path)
     file = cameras.read(path, progress)
+    if name is None and len(file.cameras) > 1:
+        rig, frame = rig_of(file, str(path))
+        poses = {each: own.inverse() for each, own in rig.rig_T_camera.items()}
+        return GivenCameras(file, file.cameras, frame, poses)
     name = name or next(iter(file.cameras))
-    entry = cameras.select(file, name if len(file.cameras) > 1 else None, str(path))
-    if options.robot is None or options.output is None:
-        raise InvalidInput("--robot and --output are needed")
-    claim([options.output])
-    board = options.board
-    if board is None and file.board_shape is not None:
-        board = file.board_shape.board
-    seen = board_views(options.inputs, board, progress=progress, **view_settings(options))
-    if seen.board.unit != "m":
+    return GivenCameras(file, {name: cameras.select(file, name, str(path))}, name)
+
+
+def _seen_in_images(
+    options: HandEyeOptions, given: GivenCameras, rows: robot_poses.RobotRows, progress: Progress
+) -> tuple[SeenBoard, Board, tuple[Message, ...]]:
+    """Return what images show of the board, by the lenses as they are known."""
+    file = given.file
+    assert file is not None
+    captures, board = _captures(options, given, file, progress)
+    if board.unit != "m":
         raise InvalidInput(
             "hand and eye are in metres: give the size of the board's squares, as in chessboard:9x6:25mm"
         )
-    rows = robot_poses.read(options.robot)
-    views, places = _matched(seen.detections.views, rows, str(options.robot))
-    same = file.board_shape is not None and file.board_shape.board == seen.board
-    used = float(entry.quality.get("images_used") or provenance.image_counts(file.provenance)[0] or inf)
-    shape = KnownBoard(file.board_shape, used) if same and file.board_shape else KnownBoard(Surface.flat(seen.board))
-    sigma = 0.0 if entry.noise is None else entry.noise.sigma_px
-    known = KnownCamera(entry.camera, sigma, Observations.of(views), np.arange(len(views)))
+    shown = np.array([place for place, views in enumerate(captures) if usable(list(views.values()))], np.intp)
+    first = [next(iter(views.values())) for views in captures]
+    moments = [time_of(first[place]) for place in shown]
+    timed = by_time(rows, moments)
+    names = [view.image for view in first]
+    places = shown if timed else places_of(names, len(captures), shown, rows, str(options.robot))
+    kept = shown[places >= 0]
+    require_enough(len(kept))
+    chosen = [captures[place] for place in kept]
+    used = [view for views in chosen for view in usable(list(views.values()))]
     warnings: tuple[Message, ...] = ()
-    if again := _used_before(file, views):
+    if again := _used_before(file, used):
         text = (
             f"{counted(again, 'image')} of the calibration used again: the lens is estimated from them, not known twice"
         )
         warnings = (Message("images_used_again", text, {"images": again}),)
-    with stage(progress, "estimating"):
-        prior = wide_prior_of(known) if options.free_lens or again else prior_of(known)
-        estimated = estimate_known([known], [Pose.identity()], shape, {0: prior})
-        if estimated is None:
-            raise InvalidInput(
-                "its lens has no image of the corners: the images are of another camera", where=str(path)
-            )
-        found = estimated[0]
-        if (off := found.parts[0].noise.sigma) > _FOREIGN_PX:
-            text = (
-                f"the corners are off by {off:.1f} px with this lens: the images are of another camera, focus or size"
-            )
-            raise InvalidInput(text, where=str(path))
-        camera_T_board = Poses(found.state.rotations, found.state.translations)
-        reading, remarks = _read(options, rows, places, camera_T_board)
-        robot = RobotPoses(
-            reading.poses, np.arange(len(views)), not options.eye_to_hand, (1.0, 1.0), np.ones(len(views))
-        )
-        estimate = estimate_robot(found, robot, reading.fit)
-    if not estimate.converged:
-        raise NotConverged(f"hand and eye not converged after {estimate.passes} passes")
-    images = tuple(view.image for view in views)
-    doubtful = tuple(image for image, weight in zip(images, estimate.weights, strict=True) if weight < _DOUBTFUL)
-    systematic = _linear_share(estimate)
-    warnings += remarks + _remarks(doubtful, systematic, estimate.sigmas)
-    warn_of(warnings, progress)
-    transforms, joint = _transforms(estimate, name, options.eye_to_hand)
-    report = HandEyeReport(
-        transforms,
-        estimate,
-        (_interval(estimate.sigmas[0], estimate.dof[0]), _interval(estimate.sigmas[1], estimate.dof[1])),
-        images,
-        doubtful,
-        systematic,
-        f"{reading.words}, {HAND_T_BASE if reading.inverted else BASE_T_HAND}, {_unit_of(reading.scale)}",
-        options.output,
-        warnings,
-    )
-    written = CameraFile(
-        {name: _with_lens(entry, estimate, known.free) if options.free_lens else entry},
-        transforms,
-        joint,
-        provenance=provenance.build(
-            command_line("handeye", options), seen.board, [{"file": image} for image in images]
-        ),
-    )
-    native.write(options.output, written)
-    return report
+    problem, state = _known(given, file, board, chosen, free=options.free_lens or bool(again), where=options.camera)
+    times = np.array(moments, float) if timed else None
+    images = tuple(names[place] for place in kept)
+    return SeenBoard(problem, state, images, places[places >= 0], times), board, warnings
 
 
-def _with_lens(entry: CameraEntry, estimate: RobotEstimate, free: Array) -> CameraEntry:
+def _captures(
+    options: HandEyeOptions, given: GivenCameras, file: CameraFile, progress: Progress
+) -> tuple[list[Mapping[str, BoardDetection]], Board]:
+    """Return the views of every capture by cameras, also those without the board, and the board."""
+    board = options.board
+    if board is None and file.board_shape is not None:
+        board = file.board_shape.board
+    if given.poses is None:
+        (name,) = given.cameras
+        one = board_views(options.inputs, board, progress=progress, **view_settings(options))
+        return [{name: view} for view in one.detections.views], one.board
+    settings = RigSettings(board=board, refine=False, **view_settings(options))
+    rig = rig_views(options.inputs, settings, progress)
+    if unknown := [each for each in rig.captures.cameras if each not in given.cameras]:
+        raise InvalidInput(f"no camera {unknown[0]!r}; it has {', '.join(given.cameras)}", where=options.camera)
+    return [
+        {name: view for name, view in zip(rig.captures.cameras, row, strict=True) if view is not None}
+        for row in rig.captures.views
+    ], rig.board
+
+
+def _known(
+    given: GivenCameras,
+    file: CameraFile,
+    board: Board,
+    captures: Sequence[Mapping[str, BoardDetection]],
+    *,
+    free: bool,
+    where: str,
+) -> tuple[Any, Any]:
+    """Return the problem of the captures and its state: lenses known by their file or free, the rig as it is."""
+    same = file.board_shape is not None and file.board_shape.board == board
+    known, poses = [], []
+    for name, entry in given.cameras.items():
+        own = [(place, view) for place, views in enumerate(captures) for view in usable([*_of(views, name)])]
+        if own:
+            places, views = zip(*own, strict=True)
+            sigma = 0.0 if entry.noise is None else entry.noise.sigma_px
+            known.append(KnownCamera(entry.camera, sigma, Observations.of(views), np.array(places)))
+            poses.append(Pose.identity() if given.poses is None else given.poses[name])
+    entry = next(iter(given.cameras.values()))
+    used = float(entry.quality.get("images_used") or provenance.image_counts(file.provenance)[0] or inf)
+    shape = KnownBoard(file.board_shape, used) if same and file.board_shape else KnownBoard(Surface.flat(board))
+    priors = {place: wide_prior_of(each) if free else prior_of(each) for place, each in enumerate(known)}
+    estimated = estimate_known(known, poses, shape, priors, held=True)
+    if estimated is None:
+        raise InvalidInput("its lens has no image of the corners: the images are of another camera", where=where)
+    found = estimated[0]
+    if (off := max(part.noise.sigma for part in found.parts)) > _FOREIGN_PX:
+        text = f"the corners are off by {off:.1f} px with this lens: the images are of another camera, focus or size"
+        raise InvalidInput(text, where=where)
+    return found.problem, found.state
+
+
+def _of(views: Mapping[str, BoardDetection], name: str) -> Sequence[BoardDetection]:
+    return [views[name]] if name in views else []
+
+
+def _estimate(seen: SeenBoard, known: ReadPoses, options: HandEyeOptions) -> tuple[RobotEstimate, float]:
+    """Return hand and eye, and by how many s the robot's poses have been taken to be late beforehand."""
+    count, in_hand = len(seen.images), not options.eye_to_hand
+    robot = RobotPoses(known.reading.poses, np.arange(count), in_hand, (1.0, 1.0), np.ones(count))
+    scale = (0,) if options.robot_scale else ()
+    if known.motion is None:
+        return estimate_robot(seen.problem, seen.state, robot, known.reading.fit, scale), 0.0
+    delay, free = known.delay, scale
+    for _ in range(_ROUNDS):
+        poses = known.motion.at(known.times + delay)
+        robot = replace(robot, base_T_hand=poses, velocities=known.motion.velocities(known.times + delay))
+        start = closed_form(robot.world_T_carrier, seen.camera_T_board)
+        found = estimate_robot(seen.problem, seen.state, robot, start, free)
+        value, std = found.systematic.get("delay", (0.0, inf))
+        if free == scale and abs(value + delay) < SIGNIFICANT * std and abs(value) < SIGNIFICANT * std:
+            break
+        if free != scale and abs(value) < _LATER * std:
+            break
+        delay, free = delay + value, (*scale, 1)
+    return found, delay
+
+
+def _with_lens(entry: CameraEntry, estimate: RobotEstimate, place: int, lens: Array) -> CameraEntry:
     """Return a camera with the lens as it was estimated with the robot, without what was known of the one before."""
-    before = entry.camera
+    before, rig = entry.camera, estimate.problem.rig
+    own = slice(*rig.lens_starts[place : place + 2])  # type: ignore[attr-defined]
+    free = rig.parts[place].free  # type: ignore[attr-defined]
     covariance = np.zeros((len(before.parameters),) * 2)
-    covariance[np.ix_(free, free)] = estimate.lens_covariance
-    camera = replace(before, parameters=estimate.state.rig.lenses[0], covariance=covariance)
-    return CameraEntry(camera, entry.valid, noise=entry.noise, sensor=entry.sensor, extra=entry.extra)
+    covariance[np.ix_(free, free)] = estimate.joint[own, own]
+    camera = replace(before, parameters=lens, covariance=covariance)
+    valid = ValidRegion.of(camera, entry.image_circle)
+    return CameraEntry(camera, valid, noise=entry.noise, sensor=entry.sensor, extra=entry.extra)
 
 
 def _used_before(file: CameraFile, views: Sequence[BoardDetection]) -> int:
@@ -178,228 +291,11 @@ def _used_before(file: CameraFile, views: Sequence[BoardDetection]) -> int:
     return sum(view.sha256 is not None and view.sha256 in known for view in views)
 
 
-def _matched(
-    views: Sequence[BoardDetection], rows: robot_poses.RobotRows, where: str
-) -> tuple[list[BoardDetection], Array]:
-    """Return the views that have a pose of the board and one of the robot, and the places of the latter."""
-    shown = usable(views)
-    if rows.names is None:
-        if len(rows.numbers) != len(views):
-            raise InvalidInput(
-                f"{counted(len(rows.numbers), 'pose')} for {counted(len(views), 'image')}: poses without names "
-                "of images go with them one by one",
-                where=where,
-            )
-        order = {id(view): place for place, view in enumerate(views)}
-        places = [order[id(view)] for view in shown]
-    else:
-        known = {Path(name).name: place for place, name in enumerate(rows.names)}
-        stems = {Path(name).stem: place for place, name in enumerate(rows.names)}
-        found = [known.get(Path(view.image).name, stems.get(Path(view.image).stem)) for view in shown]
-        shown = [view for view, place in zip(shown, found, strict=True) if place is not None]
-        places = [place for place in found if place is not None]
-    if len(shown) < LEAST_POSES:
-        raise InsufficientData(
-            f"{counted(len(shown), 'image')} with the board and a pose of the robot; {LEAST_POSES} or more are needed"
-        )
-    return shown, np.array(places)
-
-
-def _read(
-    options: HandEyeOptions, rows: robot_poses.RobotRows, places: Array, camera: Poses
-) -> tuple[Reading, tuple[Message, ...]]:
-    """Return the robot's poses as the images say they are to be read.
-
-    Raises InvalidInput for a mistake that can be named, InsufficientData for a hand that hardly turned.
-    """
-    numbers, in_hand = rows.numbers[places], not options.eye_to_hand
-    forms = rows.forms() if options.robot_form is None else (form_named(options.robot_form),)
-    scales = tuple(UNITS.values()) if options.robot_unit is None else (UNITS[options.robot_unit],)
-    directions = (False, True) if options.robot_frames is None else (options.robot_frames == HAND_T_BASE,)
-    candidates = candidates_of(forms, numbers)
-    if not candidates:
-        named = options.robot_form or f"of {numbers.shape[1]} numbers"
-        raise InvalidInput(f"its rows are no poses {named}", where=str(options.robot))
-    readings = read_robot(candidates, camera, scales, directions, in_hand)
-    best = readings[0]
-    if (axis := undetermined_axis(best.poses)) is not None:
-        raise InsufficientData(_little_rotation(axis))
-    everything = candidates_of(rows.forms(), numbers)
-    others = read_robot(everything, camera, tuple(UNITS.values()), (False, True), in_hand) if everything else ()
-    for said, names in _mistakes(options, best, others):
-        raise InvalidInput(f"{said}: {names}", where=str(options.robot))
-    shift = shift_of(everything, camera) if rows.names is None else 0
-    if shift:
-        pair = f"image 1 belongs to pose {1 + shift}" if shift > 0 else f"image {1 - shift} belongs to pose 1"
-        raise InvalidInput(
-            f"the poses fit the images once they are shifted by {abs(shift)}: {pair}; one of them is missing",
-            where=str(options.robot),
-        )
-    warnings: tuple[Message, ...] = ()
-    if (first := moved_from(best.fit)) is not None:
-        what = "the camera" if options.eye_to_hand else "the board"
-        text = f"from pose {first + 1} on all are off: {what} has been moved, or has slipped in its mount"
-        raise InvalidInput(f"{text}; leave these images out", where=str(options.robot))
-    if count := duplicates(best.poses):
-        text = f"{counted(count, 'pose')} of the robot repeated: the hand did not move, which shows nothing new"
-        warnings += (Message("repeated_robot_pose", text, {"poses": count}, str(options.robot)),)
-    return best, warnings
-
-
-def _mistakes(options: HandEyeOptions, best: Reading, others: Sequence[Reading]) -> list[tuple[str, str]]:
-    """Return what was said of the poses, and what they rather are."""
-    if not others or not fits_better(best.fit, others[0].fit):
-        return []
-    other, told = others[0], []
-    if options.robot_form is not None and other.words != best.words:
-        told.append(f"--robot-form {other.words}")
-    if options.robot_frames is not None and other.inverted != best.inverted:
-        told.append(f"--robot-frames {HAND_T_BASE if other.inverted else BASE_T_HAND}")
-    if options.robot_unit is not None and other.scale != best.scale:
-        told.append(f"--robot-unit {_unit_of(other.scale)}")
-    return [("the poses fit the images as something else", f"give {' '.join(told)}")] if told else []
-
-
-def candidates_of(forms: Sequence[Form], numbers: Array) -> list[tuple[str, Poses]]:
-    """Return the poses (N,) that rows of numbers are in each form, without those in which they are none."""
-    found = []
-    for form in forms:
-        try:
-            poses = [form.parse(row).pose() for row in numbers]
-        except InvalidInput:
-            continue
-        rotations, translations = (
-            np.stack([getattr(pose, name) for pose in poses]) for name in ("rotation", "translation")
-        )
-        found.append((str(form), Poses(rotations, translations)))
-    return found
-
-
-def _little_rotation(axis: Array) -> str:
-    """Return what to do about a hand that turned about this axis (3,) only, zeros for none."""
-    if not axis.any():
-        return "the hand hardly turned between the images: turn it about two axes, by 30° and more"
-    shown = ", ".join(f"{value:.2f}" for value in axis)
-    return (
-        f"the hand turned about one axis only, ({shown}) in its frame: where the camera stands along it is not "
-        "determined; turn it about another one too, by 30° and more"
-    )
-
-
-def _unit_of(scale: float) -> str:
-    return next(name for name, own in UNITS.items() if own == scale)
-
-
-def _interval(sigma: float, dof: float) -> tuple[float, float, float]:
-    """Return a standard deviation with its 95 % interval, given its degrees of freedom."""
-    from scipy.stats import chi2
-
-    low, high = (sigma * float(np.sqrt(dof / chi2.ppf(share, dof))) for share in (0.975, 0.025))
-    return sigma, low, high
-
-
-def _linear_share(estimate: RobotEstimate) -> float:
-    """Return the share of the variance of the robot's position errors that is linear in position, beyond chance."""
-    robot = estimate.problem.robot
-    places = robot.base_T_hand.translations
-    terms = np.column_stack([np.ones(len(places)), places - places.mean(axis=0)])
-    count, used = len(places), terms.shape[1]
-    if count <= 2 * used:
-        return 0.0
-    errors = estimate.residuals[:, :3]
-    left = errors - terms @ np.linalg.lstsq(terms, errors, rcond=None)[0]
-    whole = np.sum((errors - errors.mean(axis=0)) ** 2) / (count - 1)
-    return float(max(0.0, 1.0 - np.sum(left**2) / (count - used) / whole)) if whole > 0 else 0.0
-
-
-def _remarks(doubtful: Sequence[str], systematic: float, sigmas: tuple[float, float]) -> tuple[Message, ...]:
-    """Return what is to be said of the robot's poses."""
-    found = []
-    if sigmas[0] > _LARGE[0] or sigmas[1] > _LARGE[1]:
-        size = f"{_MILLI * sigmas[0]:.2g} mm and {np.degrees(sigmas[1]):.2g}°"
-        text = f"noise of the robot {size}, more than any robot has: are poses and images of the same moments?"
-        found.append(Message("large_robot_noise", text, {"position_m": sigmas[0], "rotation_rad": sigmas[1]}))
-    if doubtful:
-        text = f"poses of the robot that fit no other: {', '.join(doubtful[:5])}{' …' * (len(doubtful) > 5)}"
-        found.append(Message("doubtful_robot_pose", text, {"poses": len(doubtful)}))
-    if systematic > _SYSTEMATIC:
-        share = f"{100 * systematic:.0f} % of the variance of the robot's position errors"
-        text = f"{share} is linear in position: systematic, not noise"
-        found.append(Message("systematic_robot", text, {"share": systematic}))
-    return tuple(found)
-
-
-def _transforms(
-    estimate: RobotEstimate, camera: str, eye_to_hand: bool
-) -> tuple[dict[str, Transform], JointCovariance]:
-    """Return hand_T_camera and base_T_board, or base_T_camera and hand_T_board, and their joint covariance."""
-    names = (f"base_T_{camera}", "hand_T_board") if eye_to_hand else (f"hand_T_{camera}", "base_T_board")
+def _transforms(estimate: RobotEstimate, frame: str, eye_to_hand: bool) -> dict[str, Transform]:
+    """Return hand_T_camera and base_T_board, or base_T_camera and hand_T_board."""
+    names = (f"base_T_{frame}", "hand_T_board") if eye_to_hand else (f"hand_T_{frame}", "base_T_board")
     poses, covariance = (estimate.carrier_T_rig, estimate.world_T_board), estimate.covariance
-    transforms = {
+    return {
         name: Transform(pose, covariance[part, part])
         for name, pose, part in zip(names, poses, (slice(0, 6), slice(6, 12)), strict=True)
-    }
-    steps = [f"{name}.{step}" for name in names for step in ("tx", "ty", "tz", "rx", "ry", "rz")]
-    return transforms, JointCovariance(tuple(steps), covariance)
-
-
-def rows(report: HandEyeReport) -> list[list[object]]:
-    """Return the rows of the table."""
-    table: list[list[object]] = []
-    for name, transform in report.transforms.items():
-        covariance = np.asarray(transform.covariance)
-        std = np.sqrt(np.diag(covariance))
-        vector = np.degrees(so3.log(transform.pose.rotation))
-        table.append(
-            [
-                name,
-                *(f"{_MILLI * value:.3f}" for value in transform.pose.translation),
-                f"{_MILLI * np.sqrt(np.mean(std[:3] ** 2)):.2g}",
-                " ".join(f"{value:.4f}" for value in vector),
-                f"{np.degrees(np.sqrt(np.mean(std[3:] ** 2))):.2g}",
-            ]
-        )
-    return table
-
-
-def noise_words(report: HandEyeReport) -> str:
-    """Return the robot's noise in a line."""
-    (shift, low, high), (turn, least, most) = report.noise
-    place = f"position {_MILLI * shift:.3g} mm ({_MILLI * low:.2g} to {_MILLI * high:.2g})"
-    turned = np.degrees([turn, least, most])
-    return (
-        f"Noise of the robot: {place}, rotation {turned[0]:.3g}° ({turned[1]:.2g} to {turned[2]:.2g}), 95 % intervals"
-    )
-
-
-def document(report: HandEyeReport) -> dict[str, Any]:
-    """Return the report as plain data for --json."""
-    (shift, low, high), (turn, least, most) = report.noise
-    return {
-        "output": report.output,
-        "read_as": report.words,
-        "transforms": {
-            name: {
-                "R": item.pose.rotation.tolist(),
-                "t_m": item.pose.translation.tolist(),
-                "covariance": np.asarray(item.covariance).tolist(),
-            }
-            for name, item in report.transforms.items()
-        },
-        "robot_noise": {
-            "position_m": {"value": shift, "low": low, "high": high},
-            "rotation_rad": {"value": turn, "low": least, "high": most},
-            "systematic_share": report.systematic,
-        },
-        "poses": [
-            {"image": image, "shift_m": shift.tolist(), "rotation_vector": turned.tolist(), "weight": float(weight)}
-            for image, shift, turned, weight in zip(
-                report.images,
-                report.estimate.residuals[:, :3],
-                report.estimate.residuals[:, 3:],
-                report.estimate.weights,
-                strict=True,
-            )
-        ],
-        "passes": report.estimate.passes,
     }

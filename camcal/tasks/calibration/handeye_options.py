@@ -4,10 +4,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from camcal.options import INPUT, METHOD, Argument, Option, OptionsRecord, Without
+from camcal.options import INPUT, METHOD, OUTPUT, Argument, Option, OptionsRecord, Without
 from camcal.raw.options import AS_IMAGES, ImageReadOptions
 from camcal.tasks.calibration.options import BEST_FRAMES, FrameOptions, ImageSize
-from camcal.tasks.options import BOARD_OPTION, CAMERA_FILE, Jobs, Overwrite, Recursive, result_option
+from camcal.tasks.options import BOARD_OPTION, CAMERA_FILE, PAGE, Jobs, Overwrite, Recursive, result_option
 
 if TYPE_CHECKING:
     from camcal.targets.board import Board
@@ -20,22 +20,40 @@ UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 class HandEyeOptions(OptionsRecord):
     """A camera file, FILE or FILE#NAME, images of a board, and the poses of the robot that they were taken at.
 
-    robot_form, robot_frames, robot_unit: how the poses are written, None for what the images tell. eye_to_hand: whether
-    the board is in the hand, and the camera stands still. free_lens: whether the lens is estimated, too.
+    camera_poses: of the board, in the place of images. robot_form, robot_frames, robot_unit: how the poses are written,
+    None for what the images tell. eye_to_hand: whether the board is in the hand, and the camera stands still.
+    free_lens, robot_scale: whether the lens, or the scale of the robot's lengths, is estimated too.
     """
 
-    camera: Annotated[str, Argument("Camera file, or FILE#NAME.", metavar="CAMERA", required=True)] = ""
+    camera: Annotated[
+        str,
+        Argument(
+            "Camera file, or FILE#NAME; of a rig all cameras, which stay as they are to each other.", metavar="CAMERA"
+        ),
+    ] = ""
     inputs: Annotated[
         tuple[str, ...],
-        Argument("Images, videos, folders, globs; or a detections file.", metavar="IMAGES…|DETECTIONS", required=True),
+        Argument(
+            "Images, videos, folders, globs; or a detections file. For a rig NAME=IMAGES for each camera.",
+            metavar="IMAGES…|DETECTIONS",
+        ),
     ] = ()
     robot: Annotated[
         Path | None,
         Option(
-            "Poses of the robot's hand, one for each image: by the names of images, or in their order.",
+            "Poses of the robot's hand, one for each image: by the names of images, their times, or in their order.",
             metavar="POSES",
             group=INPUT,
             required=True,
+        ),
+    ] = None
+    camera_poses: Annotated[
+        Path | None,
+        Option(
+            "Poses of the board as a camera saw it, camera_T_board, in the place of images: of 'camcal pnp', with "
+            "their covariances, or as --robot.",
+            metavar="POSES",
+            group=INPUT,
         ),
     ] = None
     output: Annotated[Path | None, result_option(CAMERA_FILE)] = None
@@ -76,9 +94,22 @@ class HandEyeOptions(OptionsRecord):
             group=METHOD,
         ),
     ] = False
+    robot_scale: Annotated[
+        bool, Option("Estimate too by how much of itself all lengths of the robot are wrong.", group=METHOD)
+    ] = False
     image_size: ImageSize = None
     recursive: Recursive = False
     jobs: Jobs = None
     reading: Annotated[ImageReadOptions, Without(("colours",))] = AS_IMAGES
     frames: FrameOptions = BEST_FRAMES
+    report: Annotated[
+        Path | None,
+        Option(
+            "Also write a page with the transforms, the noise of the robot and the errors of its poses.",
+            metavar="FILE",
+            group=OUTPUT,
+            recorded=False,
+            written=PAGE,
+        ),
+    ] = None
     overwrite: Overwrite = False
