@@ -13,7 +13,7 @@ _FILES = {
     "thin_prism_fisheye fisheye624",
     "sphere_models": "ucm eucm double_sphere mei",
     "short_models": "fov division orthographic equisolid",
-    "angle_models": "ftheta ftheta_inverse ptlens ocam",
+    "angle_models": "ftheta ftheta_inverse ptlens ptlens_equisolid ptlens_stereographic ocam",
     "panoramic": "cylinder equirectangular stereographic",
     "rectified_views": "cylinder_x latlon_x",
     "spline": "splined_stereographic",

@@ -228,10 +228,7 @@ def choose(
     best = best.take(extents.flatness[problems.view[best.which]] < NEAR_PLANE)
     eye = problems.packed_views[0].eye
     mirrored = extents.reflected(best.states, problems.view[best.which], eye)
-    # near to rivals are half as many points as agree with the best poses
-    near = _below(problems, mirrored, best.which, 4 * criterion.limits(problems, best.which), criterion)
-    count, most = (np.asarray(sum(mask.sum(axis=1) for mask in masks)) for masks in (near, best.masks))
-    rivals = 2 * count >= most
+    rivals = _supported(problems, mirrored, best, criterion)
     found = found.joined(refit_inliers(problems, mirrored[rivals], best.which[rivals], criterion)).different()
     for _ in range(_TURNS):
         own, minima = _on_best(problems, found, mirrored, best.which)
@@ -241,6 +238,13 @@ def choose(
             break
         found = found.joined(refit_inliers(problems, overtaken.states, overtaken.which, criterion)).different()
     return own, minima
+
+
+def _supported(problems: PoseProblems, states: Array, best: RefitPoses, criterion: InlierCriterion) -> Array:
+    """Return the mask (S,) of states near to which are half as many points as agree with the best poses (S,)."""
+    near = _below(problems, states, best.which, 4 * criterion.limits(problems, best.which), criterion)
+    count, most = (np.asarray(sum(mask.sum(axis=1) for mask in masks)) for masks in (near, best.masks))
+    return 2 * count >= most
 
 
 def _on_best(problems: PoseProblems, found: RefitPoses, others: Array, of_others: Array) -> tuple[PoseProblems, Minima]:
