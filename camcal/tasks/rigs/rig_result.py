@@ -17,8 +17,7 @@ from camcal.quality.projection_uncertainty import ProjectionUncertainty
 from camcal.records import Brief
 from camcal.report.rig import motion_data, scales_data
 from camcal.targets.board_set import surfaces_of
-from camcal.tasks.calibration.camera_result import camera_entry, image_record, is_shaped
-from camcal.tasks.calibration.corner_refinement import RefinementSummary
+from camcal.tasks.calibration.camera_result import RefinementSummary, camera_entry, image_record, is_shaped
 from camcal.tasks.rigs.rig_views import RigViews
 
 
