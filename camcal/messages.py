@@ -72,6 +72,11 @@ CODES: Mapping[str, Mapping[str, str]] = {
         "no_common_motion": "two cameras see no motion of the board in common",
         "several_time_offsets": "the motion of the board repeats itself: several time offsets fit",
         "undetermined_time_offset": "the motion of the board does not determine a time offset",
+        "unlinked_boards": "no capture and no motion links boards that are joined",
+        "undetermined_motion": "the motion that links cameras or boards leaves open how they stand to each other",
+        "boards_not_joined": "boards that count as joined move against each other",
+        "relation_contradicted": "a given relation of boards contradicts the captures",
+        "distance_contradicted": "a measured distance contradicts the captures and the other distances",
         "exposure_motion": "the board moved between the exposures of a capture",
     },
     "Calibration": {

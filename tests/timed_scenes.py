@@ -77,8 +77,8 @@ def evenly(velocity):
 
 @dataclass(frozen=True, eq=False)
 class Clocked:
-    """A camera: its lens, where it stands, and when it takes row y of H of frame n: at n / fps + offset + rate · n / fps
-    + readout · y / H. jitter: s, of the moments that its stamps do not know.
+    """A camera: its lens, where it stands, and when it takes row y of H of frame n: at n / fps + offset +
+    rate · n / fps + readout · y / H. jitter: s, of the moments that its stamps do not know.
     """
 
     lens: Camera = LENS

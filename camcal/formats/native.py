@@ -29,7 +29,7 @@ from camcal import files
 from camcal.arrays import Array
 from camcal.cameras.catalogue import model_of
 from camcal.cameras.model import Camera
-from camcal.cameras.validity import field_of_view, folds_inside
+from camcal.cameras.validity import Fold, field_and_fold
 from camcal.errors import InvalidInput
 from camcal.formats import covariance, documents, emit, native_entry, provenance
 from camcal.formats.camera_file import CameraEntry, CameraFile, JointCovariance, Transform
@@ -67,6 +67,7 @@ _FILE = mapping(
         "transforms": mapping({}, others=plain),  # the check of transforms needs the cameras' names as well
         "joint_covariance": _JOINT,
         "board_shape": check_board_shape,
+        "boards": mapping({}, others=check_board_shape),
         "provenance": provenance.check,
         "converted_from": mapping(
             {"file": text, "format": text}, {"exact": flag, "refit_rms_px": number(0), "refit_max_px": number(0)}
@@ -99,6 +100,7 @@ def from_document(document: documents.Document, folder: Path) -> CameraFile:
         transforms=_read_transforms(document.get("transforms", {})),
         joint_covariance=_read_joint(document.get("joint_covariance"), folder),
         board_shape=read_board_shape(document["board_shape"], folder) if "board_shape" in document else None,
+        boards={name: read_board_shape(data, folder) for name, data in document.get("boards", {}).items()},
         provenance=document.get("provenance", {}),
         converted_from=document.get("converted_from", {}),
         extra={key: value for key, value in document.items() if key.startswith(VENDOR)},
@@ -134,7 +136,12 @@ def check(data: Any, path: str = "") -> Iterator[Fault]:
         yield Fault("cameras", "no camera; a file has at least one")
     for name in cameras:
         yield from check_name(name, child("cameras", name))
-    yield from _check_transforms(transforms, "transforms", list(cameras))
+    boards = data.get("boards", {})
+    for name in boards if isinstance(boards, dict) else ():
+        yield from check_name(name, child("boards", name))
+        if name in cameras:
+            yield Fault(child("boards", name), f"a camera is called {name!r} as well")
+    yield from _check_transforms(transforms, "transforms", [*cameras, *boards])
     if isinstance(transforms, dict) and not any(_JOINT(joint, "")):
         yield from covariance.check(joint, "joint_covariance", list(_joint_names(cameras, transforms)))
 
@@ -179,6 +186,7 @@ def block(file: CameraFile, path: Path) -> dict[str, Any]:
         "transforms": _transforms_block(file.transforms) or None,
         "joint_covariance": covariance.block(joint.names, joint.matrix, path) if joint else None,
         "board_shape": board_shape_block(file.board_shape, path) if file.board_shape else None,
+        "boards": {name: board_shape_block(surface, path) for name, surface in file.boards.items()} or None,
         "converted_from": file.converted_from or None,
         "provenance": file.provenance or None,
         **file.extra,
@@ -278,8 +286,9 @@ def implausible(file: CameraFile) -> Iterator[Message]:
             text = f"fx/fy = {ratio:.3g}: check the pixel aspect ratio (anamorphic or stretched video)"
             yield Message("unlikely_aspect", text, {"fx_over_fy": ratio}, child(path, "intrinsics"))
         if not entry.camera.model.is_view:  # a view, not a lens: it may show all around
-            yield from _opening(entry, child(path, "intrinsics"))
-            yield from _folding(entry, child(path, "distortion"))
+            horizontal, fold = field_and_fold(entry.camera, entry.image_circle)
+            yield from _opening(horizontal, child(path, "intrinsics"))
+            yield from _folding(fold, entry, child(path, "distortion"))
         yield from _quality(entry, child(path, "quality"))
         yield from untrustworthy(entry, child(path, "verdict"))
     for name, transform in file.transforms.items():
@@ -297,15 +306,14 @@ def _principal_point(camera: Camera, path: str) -> Iterator[Message]:
             yield Message("unlikely_principal_point", text, {name: value, what: side}, child(path, name))
 
 
-def _opening(entry: CameraEntry, path: str) -> Iterator[Message]:
-    horizontal = math.degrees(field_of_view(entry.camera, entry.image_circle)[0])
+def _opening(field: float, path: str) -> Iterator[Message]:
+    horizontal = math.degrees(field)
     if horizontal < _FIELD_DEG[0] or horizontal > _FIELD_DEG[1]:
         text = f"horizontal field of view {horizontal:.3g}°: check that fx and image_size are of one resolution"
         yield Message("unlikely_field_of_view", text, {"horizontal_deg": horizontal}, child(path, "fx"))
 
 
-def _folding(entry: CameraEntry, path: str) -> Iterator[Message]:
-    fold = folds_inside(entry.camera, entry.image_circle)
+def _folding(fold: Fold, entry: CameraEntry, path: str) -> Iterator[Message]:
     if fold.folds:
         limit = f"distortion is not invertible beyond {fold.radius_px:.0f} px from the centre"
         end = "image corner is at" if entry.image_circle is None else "image circle reaches to"

@@ -13,7 +13,7 @@ from typing import Generic, Protocol, TypeVar
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.solve.descent import STOPPING, Proposal, Stopping, descend
+from camcal.solve.descent import STOPPING, Stopping, descend
 from camcal.solve.least_squares import assemble
 from camcal.solve.steps import Block, NormalEquations, SingularError, Step
 
@@ -147,10 +147,10 @@ class _ChainSearch(Generic[State]):
             None if blocks is None else ChainEquations.of(assemble(blocks, self.problem.shared, *self.problem.groups))
         )
 
-    def propose(self, _: State, equations: ChainEquations, damping: float) -> Proposal:
+    def propose(self, _: State, equations: ChainEquations, damping: float) -> tuple[Step, float]:
         step = ChainFactors.of(equations.damped(damping)).solve()
         gradient = Step(equations.shared_gradient, equations.node_gradient.reshape(step.groups.shape))
-        return Proposal(step, -0.5 * step.dot(gradient))
+        return step, -0.5 * step.dot(gradient)
 
     def retract(self, state: State, step: Step) -> State:
         return self.problem.retract(state, step)

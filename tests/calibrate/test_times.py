@@ -40,7 +40,7 @@ def lens_of(views):
 @cache
 def timed(seed, *, frames=150, noise_px=0.1, **camera):
     views = views_of(seed, frames=frames, noise_px=noise_px, **camera)
-    own = TimedCamera(lens_of(views), views)
+    own = TimedCamera(lens_of(views), views, as_designed=True)
     return time_cameras({"": own}, offsets=False, shutter=True), views
 
 
@@ -178,7 +178,7 @@ def test_views_are_as_of_one_moment():
     exact = Clocked().project(motion, np.array(middles))
     left = np.stack([view.pixels for view in found]) - exact
     before = np.stack([view.pixels for view in views]) - exact
-    assert np.sqrt(np.mean(before**2)) > 0.4  # px
+    assert np.sqrt(np.mean(before**2)) > 0.3  # px
     assert np.sqrt(np.mean(left**2)) < 0.11  # the noise is 0.1
 
 
@@ -191,7 +191,7 @@ def test_a_view_without_a_time_stays_as_it_is():
 def test_a_board_that_hardly_moves_does_not_tell_the_readout_time():
     rng = np.random.default_rng(7)
     views = Clocked(readout=READOUT_S).views(by_hand(rng, 0.5, 0.002), 150, rng)
-    own = TimedCamera(lens_of(views), views)
+    own = TimedCamera(lens_of(views), views, as_designed=True)
     times = time_cameras({"": own}, offsets=False, shutter=True)
     [warning] = times.warnings
     assert warning.code == "undetermined_readout_time"
@@ -202,7 +202,7 @@ def test_a_board_that_hardly_moves_does_not_tell_the_readout_time():
 def test_too_few_images_are_refused():
     views = views_of(0)[:15]
     with pytest.raises(InsufficientData) as caught:
-        time_cameras({"": TimedCamera(lens_of(views), views)}, offsets=False, shutter=True)
+        time_cameras({"": TimedCamera(lens_of(views), views, as_designed=True)}, offsets=False, shutter=True)
     assert caught.value.failures[0].code == "too_few_timed_views"
 
 

@@ -14,6 +14,7 @@ from camcal.calibrate.timing.start import Alignment, Track, place_tracks
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.messages import Message, counted
 from camcal.solve.steps import SingularError
+from camcal.targets.board import Surface
 from camcal.targets.detection import BoardDetection
 
 _FEWEST = 20  # views with a time, of each camera
@@ -25,10 +26,14 @@ _STILL = 1.0  # px a frame: RMS motion that is slow
 
 @dataclass(frozen=True, eq=False)
 class TimedCamera:
-    """A camera calibrated alone, and its views with their times, as its record has them."""
+    """A camera calibrated alone, and its views with their times, as its record has them.
+
+    as_designed: whether its offsets of single corners are of no use, as those from views of many moments are.
+    """
 
     calibration: Calibration
     views: Sequence[BoardDetection]
+    as_designed: bool = False
 
 
 def time_cameras(cameras: Mapping[str, TimedCamera], *, offsets: bool, shutter: bool) -> TimeCalibration:
@@ -57,7 +62,7 @@ def time_cameras(cameras: Mapping[str, TimedCamera], *, offsets: bool, shutter: 
             raise _refused(Message("several_time_offsets", text))
     try:
         estimate = estimate_times(
-            sources[0].camera.calibration.surface,
+            sources[0].surface,
             [own.corners(alignment) for own, alignment in zip(sources, alignments, strict=True)],
             [own.camera.calibration.camera.parameters for own in sources],
             tracks,
@@ -95,6 +100,12 @@ class _Source:
             again = order[int(np.flatnonzero(~(np.diff(times) > 0))[0]) + 1]
             raise InvalidInput("has the time of another image", where=camera.views[again].image)
         return cls(camera, tuple(order))
+
+    @property
+    def surface(self) -> Surface:
+        """The board as its calibration has it."""
+        own = self.camera.calibration.surface
+        return replace(own, offsets=None) if self.camera.as_designed else own
 
     @property
     def track(self) -> Track:

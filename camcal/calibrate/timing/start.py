@@ -178,7 +178,7 @@ def place_tracks(tracks: Sequence[Track], board: Board, *, lags: bool) -> dict[i
     turns, shifts = motions(board)
     while len(found) < len(tracks):
         pairs = [
-            (own.link.spread, new, _through(found[old], own))
+            (own.link.spread, new, _by_way_of(found[old], own))
             for new in range(len(tracks))
             if new not in found
             for old in found
@@ -193,7 +193,7 @@ def place_tracks(tracks: Sequence[Track], board: Board, *, lags: bool) -> dict[i
     return found
 
 
-def _through(first: Alignment, then: Alignment) -> Alignment:
+def _by_way_of(first: Alignment, then: Alignment) -> Alignment:
     """Return the alignment with the first camera by way of another one."""
     own = then.link
     translation = own.rotation @ first.link.translation + own.translation

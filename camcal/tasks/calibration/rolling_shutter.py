@@ -38,9 +38,10 @@ def solve_at_once(
 
     brief, solve: a brief calibration from views as they are, and a whole one. Raises as these and `time_cameras` do.
     """
-    first = _times(brief(views) or solve(views).calibration, views, progress)
+    start = TimedCamera(brief(views) or solve(views).calibration, views, as_designed=True)
+    first = _times(start, progress)
     selection = solve(_at_once(views, first))
-    times = _times(selection.calibration, views, progress)
+    times = _times(TimedCamera(selection.calibration, views), progress)
     own, before = times.cameras[CAMERA], first.cameras[CAMERA]
     if abs((own.readout or 0.0) - (before.readout or 0.0)) > _SAME * own.readout_std:
         selection = solve(_at_once(views, times))
@@ -58,9 +59,9 @@ def solve_at_once(
     )
 
 
-def _times(lens: Calibration, views: Sequence[BoardDetection], progress: Progress) -> TimeCalibration:
+def _times(camera: TimedCamera, progress: Progress) -> TimeCalibration:
     with stage(progress, "times"):
-        return time_cameras({CAMERA: TimedCamera(lens, views)}, offsets=False, shutter=True)
+        return time_cameras({CAMERA: camera}, offsets=False, shutter=True)
 
 
 def _at_once(views: Sequence[BoardDetection], times: TimeCalibration) -> list[BoardDetection]:
