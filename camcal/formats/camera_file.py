@@ -333,8 +333,18 @@ def _rows(joint: JointCovariance, transform: str) -> list[int]:
     return [joint.names.index(name) for name in names] if set(names) <= set(joint.names) else []
 
 
+def named_transforms(file: CameraFile, places: Mapping[str, str]) -> list[NamedTransform]:
+    """Return the transforms of a file with their covariances; places: by name, what is said of where they stand."""
+    found = []
+    for name, item in file.transforms.items():
+        known = transform_covariances(file, name)
+        cross = {places[other]: own for other, own in known.items() if other != name}
+        found.append(NamedTransform(*frames_of(name), item.pose, known.get(name), places[name], cross))
+    return found
+
+
 def _graph(file: CameraFile) -> FrameGraph:
-    return FrameGraph([NamedTransform(*frames_of(name), item.pose) for name, item in file.transforms.items()])
+    return FrameGraph(named_transforms(file, {name: name for name in file.transforms}))
 
 
 def _rig_covariance(file: CameraFile, derived: Mapping[str, Derived[int]]) -> FloatArray | None:
@@ -356,13 +366,24 @@ def _rig_covariance(file: CameraFile, derived: Mapping[str, Derived[int]]) -> Fl
     return result if uncertain else None
 
 
-def pose_between(file: CameraFile, target: str, source: str) -> Pose | None:
-    """Return target_T_source by way of the transforms of a file, None if they do not join the two."""
+def transform_between(file: CameraFile, target: str, source: str) -> Transform | None:
+    """Return target_T_source by way of the transforms of a file, None if they do not join the two; with its covariance
+    where all of them have one.
+    """
     graph = _graph(file)
     try:
-        return graph.along(graph.path(target, source)).pose
+        derived = graph.along(graph.path(target, source))
     except InvalidInput:
         return None
+    used = {place: graph.transforms[place] for place in derived.by}
+    unknown = any(item.covariance is None for item in used.values())
+    return Transform(derived.pose, None if unknown else derived.covariance_of(used))
+
+
+def pose_between(file: CameraFile, target: str, source: str) -> Pose | None:
+    """Return the pose of `transform_between`."""
+    found = transform_between(file, target, source)
+    return None if found is None else found.pose
 
 
 def _pose(graph: FrameGraph, frame: str, camera: str, where: str) -> Derived[int]:
