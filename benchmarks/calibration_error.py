@@ -36,7 +36,7 @@ from camcal.simulate.scene import views
 from camcal.targets.board import Board
 from camcal.targets.detect import detect
 from camcal.targets.detection import BoardDetection
-from camcal.tasks.calibration.corner_refinement import refine_corners
+from camcal.tasks.calibration.images_again import refine_corners
 
 SIZE, BOARD = (1280, 960), Board("chessboard", 9, 6, 0.04)
 LENS = Camera(model_named("opencv5"), SIZE, np.array([960.0, 964, 645, 472, -0.12, 0.06, 5e-4, -3e-4, 0.01]))

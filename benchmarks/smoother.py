@@ -42,9 +42,9 @@ def main() -> None:
 def times(steps: list[int], repeats: int) -> None:
     ways: dict[str, Callable[[LinearSystem], np.ndarray]] = {
         "dense": dense,
-        "RTS": lambda system: rts(system, kalman_filter(system)).means[:, 0],
+        "RTS": lambda system: rts(system, kalman_filter(system))[0][:, 0],
         "banded": lambda system: solve_batch(system).means[:, 0],
-        "with cov": lambda system: solve_batch(system).smoothed().means[:, 0],
+        "with cov": lambda system: solve_batch(system).smoothed()[0][:, 0],
     }
     if importlib.util.find_spec("filterpy"):
         ways["filterpy"] = filterpy

@@ -34,11 +34,15 @@ settings.load_profile("camcal")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Count every test of real data among the slow ones, and put these first: no process ends with a long one."""
+    """Count every test of real data among the slow ones, and put files with these first: no process ends with one.
+
+    The tests of a file stay together, for its fixtures are then made once.
+    """
     for item in items:
         if "real_data" in getattr(item, "fixturenames", ()):
             item.add_marker(pytest.mark.slow)
-    items.sort(key=lambda item: item.get_closest_marker("slow") is None)
+    long = {item.path for item in items if item.get_closest_marker("slow")}
+    items.sort(key=lambda item: item.path not in long)
 
 
 def pytest_collection_finish() -> None:

@@ -3,7 +3,9 @@
 What every registered model promises stands in tests/contracts/test_models.py, where the same model is among them.
 """
 
+import sys
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,7 +15,6 @@ from toy_model import TOY
 from camcal.calibrate.fit import ShapeOptions
 from camcal.calibrate.intrinsics import Options, calibrate
 from camcal.calibrate.problem import BoardProblem, State
-from camcal.cameras import catalogue
 from camcal.cameras.catalogue import MODELS, model_named
 from camcal.cameras.model import Camera
 from camcal.cameras.observations import Observations
@@ -34,7 +35,8 @@ RIGID = ShapeOptions(smooth=False)
 
 @pytest.fixture(autouse=True)
 def _registered(monkeypatch):
-    monkeypatch.setitem(catalogue._REGISTERED, TOY.name, TOY)
+    monkeypatch.setitem(sys.modules, "camcal.cameras.toy_model", SimpleNamespace(MODELS=(TOY,)))
+    monkeypatch.setitem(MODELS.files, TOY.name, "toy_model")
 
 
 @pytest.fixture(scope="module")

@@ -1,27 +1,43 @@
-"""The lens models by name. A new model adds a file, whose MODELS it lists, and the line with the name of that file."""
+"""The lens models by name. A new model adds a file, whose MODELS it is among, and its name to the line of that file."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from importlib import import_module
-from types import MappingProxyType
 
 from camcal.cameras.lens import CameraModel
 from camcal.errors import InvalidInput
 from camcal.parsing import nearest
 
-_FILES = (
-    "brown",
-    "kannala_brandt",
-    "sphere_models",
-    "short_models",
-    "angle_models",
-    "panoramic",
-    "rectified_views",
-    "spline",
-)
-_REGISTERED: dict[str, CameraModel] = {
-    model.name: model for file in _FILES for model in import_module(f"camcal.cameras.{file}").MODELS
+_FILES = {
+    "brown": "pinhole opencv4 opencv5 opencv8 opencv12 opencv14",
+    "kannala_brandt": "kannala_brandt4 kannala_brandt5t kannala_brandt4_tilted fisheye62 opensfm_fisheye624 "
+    "thin_prism_fisheye fisheye624",
+    "sphere_models": "ucm eucm double_sphere mei",
+    "short_models": "fov division orthographic equisolid",
+    "angle_models": "ftheta ftheta_inverse ptlens ptlens_equisolid ptlens_stereographic ocam",
+    "panoramic": "cylinder equirectangular stereographic",
+    "rectified_views": "cylinder_x latlon_x",
+    "spline": "splined_stereographic",
 }
-MODELS: Mapping[str, CameraModel] = MappingProxyType(_REGISTERED)
+
+
+class _Models(Mapping[str, CameraModel]):
+    """The lens models by name; a file is imported when one of its models is asked for, as a camera needs one alone."""
+
+    def __init__(self) -> None:
+        self.files = {name: file for file, names in _FILES.items() for name in names.split()}
+
+    def __getitem__(self, name: str) -> CameraModel:
+        models: tuple[CameraModel, ...] = import_module(f"camcal.cameras.{self.files[name]}").MODELS
+        return next(model for model in models if model.name == name)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.files)
+
+    def __len__(self) -> int:
+        return len(self.files)
+
+
+MODELS = _Models()
 
 DEFAULT_MODEL = "opencv5"  # of a lens of which nothing is known
 WIDE_MODEL = "kannala_brandt4"  # holds narrow and wide lenses alike

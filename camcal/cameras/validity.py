@@ -5,10 +5,11 @@ The size of a pixel is the angle it sees, or its side on a plane in front of the
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
-from camcal.arrays import Array, BoolArray
+from camcal.arrays import Array, BoolArray, readonly
 from camcal.cameras.model import Camera
 
 PER_EDGE = 16  # samples of each edge of the image: a corner and those towards the next one
@@ -101,6 +102,21 @@ def field_of_view(camera: Camera, circle: ImageCircle | None = None) -> tuple[fl
     image circle where it ends before the image. NaN where the model has no ray for an edge. Lenses beyond 180° are
     counted in full.
     """
+    return _fields(camera.unproject(_edges(camera, circle)).directions)
+
+
+def field_and_fold(camera: Camera, circle: ImageCircle | None = None) -> tuple[float, Fold]:
+    """Return the horizontal field of view of `field_of_view`, and what `folds_inside` does, of one unprojection."""
+    edges = _edges(camera, circle)
+    border = border_pixels(*camera.image_size)
+    border = border if circle is None else circle.clipped(np.array([camera.value("cx"), camera.value("cy")]), border)
+    rays = camera.unproject(np.concatenate([edges, border]))
+    _, fold = rim(camera, circle=circle, nearest_only=True, seen=rays.valid[len(edges) :])
+    return _fields(rays.directions[: len(edges)])[0], fold
+
+
+def _edges(camera: Camera, circle: ImageCircle | None) -> Array:
+    """Return the places (8, 2) between which `field_of_view` is, pairs across, down and along the diagonals."""
     width, height = camera.image_size
     left, top, right, bottom = -0.5, -0.5, width - 0.5, height - 0.5
     middle_x, middle_y = (width - 1) / 2, (height - 1) / 2
@@ -113,9 +129,12 @@ def field_of_view(camera: Camera, circle: ImageCircle | None = None) -> tuple[fl
         ]
     )
     edges = ends.reshape(-1, 2)
-    edges = edges if circle is None else circle.clipped(np.array([middle_x, middle_y]), edges)
-    rays = camera.unproject(edges).directions.reshape(4, 2, 3)
-    horizontal, vertical, falling, rising = _openings(rays).tolist()
+    return edges if circle is None else circle.clipped(np.array([middle_x, middle_y]), edges)
+
+
+def _fields(rays: Array) -> tuple[float, float, float]:
+    """Return what `field_of_view` does, of the rays (8, 3) of `_edges`."""
+    horizontal, vertical, falling, rising = _openings(rays.reshape(4, 2, 3)).tolist()
     return horizontal, vertical, float(np.maximum(falling, rising))
 
 
@@ -129,18 +148,23 @@ def _openings(rays: Array) -> Array:
 
 
 def rim(
-    camera: Camera, per_edge: int = PER_EDGE, circle: ImageCircle | None = None, *, nearest_only: bool = False
+    camera: Camera,
+    per_edge: int = PER_EDGE,
+    circle: ImageCircle | None = None,
+    *,
+    nearest_only: bool = False,
+    seen: Array | None = None,
 ) -> tuple[Array, Fold]:
     """Return the farthest pixels (4 · per_edge, 2) with a ray on the way from the principal point to the border, or to
     the image circle where it ends before that.
 
     The second is where the model folds on the way. nearest_only: the farthest pixels are known roughly, but where it
-    folds nearest to the principal point.
+    folds nearest to the principal point. seen: the mask (4 · per_edge,) of places on the border with a ray, if known.
     """
     border, centre = border_pixels(*camera.image_size, per_edge), np.array([camera.value("cx"), camera.value("cy")])
     border = border if circle is None else circle.clipped(centre, border)
     within = _radial_shares(camera, border - centre)
-    folded = ~camera.unproject(border).valid if within is None else within < 1
+    folded = ~(camera.unproject(border).valid if seen is None else seen) if within is None else within < 1
     reach = border[folded] - centre
     low, width = np.zeros((len(reach), 1)), 1.0
     length = np.linalg.norm(reach, axis=1)
@@ -175,11 +199,13 @@ def _radial_shares(camera: Camera, reach: Array) -> Array | None:
     return np.asarray(np.where(radii < largest, 1.0, (1 - _INSIDE) * largest / np.maximum(radii, _INSIDE)))
 
 
+@lru_cache(maxsize=8)  # files of one size come many at a time
 def border_pixels(width: int, height: int, per_edge: int = PER_EDGE) -> Array:
-    """Return pixels (4 · per_edge, 2) around the image, its corners among them."""
+    """Return pixels (4 · per_edge, 2) around the image, its corners among them; they cannot be written to."""
     corners = np.array([[0, 0], [width - 1, 0], [width - 1, height - 1], [0, height - 1]], dtype=float)
     share = np.linspace(0, 1, per_edge, endpoint=False)[:, None]
-    return np.concatenate([a + share * (b - a) for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True)])
+    edges = [a + share * (b - a) for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True)]
+    return readonly(np.concatenate(edges), (None, 2), "border")
 
 
 def pixel_angles(camera: Camera, pixels: Array) -> Array:

@@ -1,38 +1,25 @@
-"""`camcal board`, `detect`, `calibrate`, `advise`, `rig`, `stereo calibrate` and `undistort`."""
+"""`camcal detect`, `calibrate` and `advise`."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from math import isfinite
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING
 
 from camcal.cli import show
 from camcal.cli.call import Call, ImageCall
 from camcal.messages import counted
-from camcal.progress import Progress
 from camcal.report.table import Column
-from camcal.tasks.calibration.advise_options import AdviseOptions
-from camcal.tasks.calibration.options import CalibrateOptions, DetectOptions
-from camcal.tasks.calibration.sheet_options import SheetOptions
-from camcal.tasks.calibration.undistort_options import UndistortOptions
-from camcal.tasks.rigs.options import RigSettings, RigTaskOptions, StereoCalibrateOptions
+from camcal.tasks.calibration.options import AdviseOptions, CalibrateOptions, DetectOptions
 
 if TYPE_CHECKING:
     from camcal.calibrate.intrinsics import RejectedCorner
     from camcal.tasks.calibration.advise import AdviseReport
-    from camcal.tasks.calibration.board_sheet import BoardSheet
     from camcal.tasks.calibration.camera_result import CalibrateReport
     from camcal.tasks.calibration.detect import DetectReport
-    from camcal.tasks.calibration.undistort import PointsReport, UndistortReport
-    from camcal.tasks.calibration.undistort_maps import MapsReport
     from camcal.tasks.calibration.video_frames import FrameRecord
-    from camcal.tasks.rigs.rig_result import RigReport
 
 IMAGES_LISTED = 50
 DETECTION_COLUMNS = (Column("image", file=True), Column("corners"), Column("reason", wraps=True))
-
-CAMERAS_DRAWN = 4
-
-Options = TypeVar("Options", RigTaskOptions, StereoCalibrateOptions)
 
 
 def calibrate(options: CalibrateOptions, call: ImageCall) -> None:
@@ -45,8 +32,6 @@ def calibrate(options: CalibrateOptions, call: ImageCall) -> None:
 
 
 def _calibrate(options: CalibrateOptions, call: ImageCall) -> None:
-    from camcal.errors import ItemsFailed
-    from camcal.run.journal import resume_hint
     from camcal.tasks.calibration.calibrate import calibrate as run
     from camcal.tasks.calibration.calibrate import document, require_good
 
@@ -56,10 +41,7 @@ def _calibrate(options: CalibrateOptions, call: ImageCall) -> None:
         lambda: document(report, options), lambda: _show_calibration(report, options, call.verbose), failures
     )
     require_good(report, options)
-    if report.failed:
-        listed = ", ".join(report.failed[: show.LISTED])
-        again = resume_hint(options.output)
-        raise ItemsFailed(f"{counted(len(report.failed), 'image')} could not be read: {listed}{again}")
+    call.require_all(report.failed, f"could not be read: {', '.join(report.failed[: show.LISTED])}", options.output)
 
 
 def advise(options: AdviseOptions, call: Call) -> None:
@@ -112,12 +94,12 @@ def _show_calibration(report: "CalibrateReport", options: CalibrateOptions, verb
     show.figure(partial(calibration_figures, calibration, circle))
     _show_channels(report)
     unused = [f"{shown_name(view.image)}: {view.reason}" for view in calibration.views if not view.used]
-    _list("Not used:", unused, verbose)
+    show.titled("Not used:", unused, verbose)
     if verbose:
         corners = [
             f"{shown_name(corner.image)}: corner {corner.id}, {_how_far(corner)}" for corner in calibration.rejected
         ]
-        _list("Rejected corners:", corners, verbose)
+        show.titled("Rejected corners:", corners, verbose)
     figures = show.several(report.figures, "figure")
     show.wrote(options.output, options.save_detections, options.report, figures)
 
@@ -143,34 +125,6 @@ def _how_far(corner: "RejectedCorner") -> str:
     return f"off by {corner.distance:.2f} px" if isfinite(corner.distance) else "outside the domain of the lens model"
 
 
-def _list(title: str, lines: list[str], verbose: bool) -> None:
-    if lines:
-        show.text(title)
-        show.lines([f"  {line}" for line in lines], verbose)
-
-
-def board(options: SheetOptions, call: Call) -> None:
-    """Draw a calibration board for printing at true scale, and write its board file.
-
-    Print at 100 % (actual size, no scaling) with black ink only, and measure the ruler and some squares on the sheet:
-    use the measured size of the squares for calibration.
-    """
-    from camcal.tasks.calibration.board_sheet import board_sheet, document
-
-    sheet = board_sheet(options, call.progress)
-    call.give(lambda: document(sheet), lambda: _show_sheet(sheet))
-
-
-def _show_sheet(sheet: "BoardSheet") -> None:
-    options, (width, height) = sheet.options, sheet.ink.size
-    show.text(f"{sheet.board.words}, {width:g} x {height:g} mm, on {sheet.paper.described()}")
-    if sheet.pixels is not None:
-        show.text("  {} x {} pixels, anti-aliased edges".format(*sheet.pixels))
-    show.text("print at 100 % (actual size)" + (", then measure the ruler" if options.ruler else ""))
-    show.text(f"next: camcal calibrate IMAGES --board {options.board_file} -o camera.yaml")
-    show.wrote(options.output, options.board_file, options.kalibr)
-
-
 def detect(options: DetectOptions, call: ImageCall) -> None:
     """Find the corners of a board in images, videos or raw frames and write a table (.csv, or .vnl for mrcal).
 
@@ -182,8 +136,6 @@ def detect(options: DetectOptions, call: ImageCall) -> None:
 
 
 def _detect(options: DetectOptions, call: ImageCall) -> None:
-    from camcal.errors import ItemsFailed
-    from camcal.run.journal import resume_hint
     from camcal.tasks.calibration.detect import detect_images, document
 
     report = detect_images(options, call.progress)
@@ -191,9 +143,7 @@ def _detect(options: DetectOptions, call: ImageCall) -> None:
         lambda: document(report, options.output), lambda: _show_detections(report, options, call.verbose)
     )
     show.failed(report.failed)
-    if report.failed:
-        again = resume_hint(options.output)
-        raise ItemsFailed(f"{counted(len(report.failed), 'image')} could not be read, the rest is written{again}")
+    call.require_all(report.failed, "could not be read, the rest is written", options.output)
 
 
 def _show_detections(report: "DetectReport", options: DetectOptions, verbose: bool) -> None:
@@ -227,153 +177,3 @@ def _show_frames(records: Sequence["FrameRecord"], verbose: bool) -> None:
         show.text(f"  … and {len(taken) - len(shown)} more")
     if len(shown) < len(records):
         show.text("  (--verbose lists all searched frames)")
-
-
-def undistort(options: UndistortOptions, call: ImageCall) -> None:
-    """Undistort images, videos or points, or write the map by which others do, and the camera file of the result.
-
-    Images keep their type, depth and EXIF orientation; frames of a video become images. camera.yaml in the output
-    folder describes the undistorted images.
-    """
-    if options.points is not None:
-        _undistort_points(options, call)
-    elif options.maps:
-        _undistort_maps(options, call)
-    else:
-        _undistort_images(options, call)
-
-
-def _undistort_images(options: UndistortOptions, call: ImageCall) -> None:
-    from camcal.errors import ItemsFailed
-    from camcal.tasks.calibration.undistort import document
-    from camcal.tasks.calibration.undistort import undistort as run
-
-    report = run(options, call.progress)
-    call.give(lambda: document(report), lambda: _show_undistorted(report, call.verbose))
-    show.failed(report.failed)
-    if report.failed:
-        raise ItemsFailed.of(len(report.failed), len(report.outcomes), "images")
-
-
-def _undistort_points(options: UndistortOptions, call: ImageCall) -> None:
-    from camcal.tasks.calibration.undistort import points_document
-    from camcal.tasks.calibration.undistort import undistort_points as run
-
-    report = run(options, call.progress)
-    call.give(lambda: points_document(report), lambda: _show_points(report))
-
-
-def _undistort_maps(options: UndistortOptions, call: ImageCall) -> None:
-    from camcal.tasks.calibration.undistort_maps import maps_document
-    from camcal.tasks.calibration.undistort_maps import undistort_maps as run
-
-    report = run(options, call.progress)
-    call.give(lambda: maps_document(report), lambda: _show_maps(report))
-
-
-def _show_maps(report: "MapsReport") -> None:
-    show.text(f"{report.usage}; {100 * report.valid:.4g} % of the pixels have a source")
-    show.wrote(report.output, report.camera_file)
-
-
-def _show_points(report: "PointsReport") -> None:
-    lost = f", {report.lost} outside the lens model (empty cells)" if report.lost else ""
-    show.text(f"{counted(report.count, 'point')}{lost}")
-    show.wrote(report.output, report.camera_file)
-
-
-def _show_undistorted(report: "UndistortReport", verbose: bool) -> None:
-    written = [outcome.value.output for outcome in report.outcomes if outcome.value is not None]
-    if verbose:
-        show.table("undistorted", [Column("image", file=True)], [[str(path)] for path in written], verbose=True)
-    if report.aligned:
-        show.text(f"{' and '.join(report.aligned)} of colour images undistorted with their own lens models")
-    width, height = report.view.image_size
-    focal = " ".join(f"{name}={report.view.value(name):.6g}" for name in ("fx", "fy", "cx", "cy"))
-    empty = f"; {100 * (1 - report.valid):.1f} % of its pixels without source" if report.valid < 1 else ""
-    show.text(f"{report.view.model.name}, {width}x{height}, {focal}{empty}")
-    show.reused(report.outcomes, "image")
-    if drawn := [each.output for each in show.made(report.outcomes)]:
-        show.wrote(report.camera_file, report.mask_file, show.several(drawn, "image"))
-
-
-def rig(options: RigTaskOptions, call: ImageCall) -> None:
-    """Calibrate several cameras and where they stand from images of a board, or from detections files.
-
-    Cameras may differ in resolution and lens, and need not all see the board at once: captures that two of them share
-    link them. Lenses, transforms and the shape of the board are estimated together; the rig file has the covariance of
-    all of them.
-    """
-    from camcal.tasks.rigs.calibrate_rig import rig as run
-
-    _calibrate_rig(run, options, call)
-
-
-def stereo_calibrate(options: StereoCalibrateOptions, call: ImageCall) -> None:
-    """Calibrate a pair of cameras, left and right, from images of a board: 'camcal rig' for two cameras."""
-    from camcal.tasks.rigs.calibrate_rig import stereo_calibrate as run
-
-    _calibrate_rig(run, options, call)
-
-
-def _calibrate_rig(run: Callable[[Options, Progress], "RigReport"], options: Options, call: ImageCall) -> None:
-    """Do the task unless an earlier run has done the same, and show what comes of it."""
-    settings = options.settings
-    call.once(
-        options,
-        settings.output,
-        lambda: _finish_rig(run(options, call.progress), settings, call),
-        resume=settings.batch.resume,
-    )
-
-
-def _finish_rig(report: "RigReport", settings: RigSettings, call: ImageCall) -> None:
-    """Show a report, and end as it and the settings say."""
-    from camcal.errors import ItemsFailed
-    from camcal.run.journal import resume_hint
-    from camcal.tasks.rigs.calibrate_rig import document, require_good
-
-    failures = () if settings.require else report.failures  # which end the command with an error then
-    call.give_with_reused(
-        lambda: document(report, settings), lambda: _show_rig(report, settings, call.verbose), failures
-    )
-    require_good(report, settings)
-    if report.failed:
-        listed = ", ".join(report.failed[: show.LISTED])
-        again = resume_hint(settings.output)
-        raise ItemsFailed(f"{counted(len(report.failed), 'image')} could not be read: {listed}{again}")
-
-
-def _show_rig(report: "RigReport", settings: RigSettings, verbose: bool) -> None:
-    from camcal.calibrate.view_records import shown_name
-    from camcal.report.calibration import CANDIDATE_COLUMNS, candidate_rows, parameter_rows
-    from camcal.report.rig import CAMERA_COLUMNS, TRANSFORM_COLUMNS, camera_rows, lines, transform_rows
-    from camcal.report.table import region_words
-    from camcal.report.text_figures import calibration_figures, coverage_words, residual_words
-
-    calibration = report.calibration
-    regions = {name: result.assessment.region for name, result in report.cameras.items()}
-    smallest = min(regions, key=lambda name: regions[name].share)
-    show.trust(report.failures, region_words(regions[smallest], smallest))
-    for line in report.lines:
-        show.text(line)
-    show.table("cameras", CAMERA_COLUMNS, camera_rows(calibration), verbose=verbose)
-    show.table("transforms", TRANSFORM_COLUMNS, transform_rows(calibration), verbose=verbose)
-    for line in lines(calibration):
-        show.text(line)
-    for number, (name, own) in enumerate(calibration.calibrations.items()):
-        circle = report.file.cameras[name].image_circle
-        show.text(f"{name}: {coverage_words(own, circle)}; residuals {residual_words(own)}")
-        if verbose or number < CAMERAS_DRAWN:
-            show.figure(partial(calibration_figures, own, circle))
-    for names, candidates in (report.candidates or {}).items() if verbose else ():
-        show.table(f"Lens models of {', '.join(names)}", CANDIDATE_COLUMNS, candidate_rows(candidates))
-    for name, own in calibration.calibrations.items() if verbose else ():
-        show.table(f"{name}: {own.camera.model.name}", ["parameter", "value", "± std"], parameter_rows(own))
-    unmatched = report.views.matched.unmatched
-    _list("Without a partner:", list(unmatched), verbose)
-    views = [view for own in calibration.calibrations.values() for view in own.views]
-    unused = [f"{shown_name(view.image)}: {view.reason}" for view in views if view.reason]
-    _list("Not used:", unused, verbose)
-    figures = show.several(report.figures, "figure")
-    show.wrote(settings.output, settings.save_detections, settings.report, figures)

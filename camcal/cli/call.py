@@ -7,8 +7,8 @@ from typing import Annotated, Any
 
 from camcal.cli import show
 from camcal.cli.show import plain
-from camcal.errors import InvalidInput
-from camcal.files import STANDARD
+from camcal.errors import InvalidInput, ItemsFailed
+from camcal.files import LEDGER, STANDARD
 from camcal.images.options import set_max_pixels
 from camcal.messages import Message, counted
 from camcal.options import GENERAL, Option
@@ -37,11 +37,11 @@ class Call:
 
     def once(self, options: Any, output: Path | None, work: Callable[[], None], *, resume: bool) -> None:
         """Do the work of a command with one result, unless it is to be resumed and an earlier run has done the same."""
-        from camcal.run.journal import Finished
-
         if not resume or output is None or str(output) == STANDARD:
             work()
             return
+        from camcal.run.journal import Finished
+
         finished = Finished(self.command, options, output)
         known = finished.document()
         if known is None:
@@ -89,18 +89,28 @@ class Call:
         """Print a result as `give` does, of how many of its images an earlier run had found the corners, and how long
         the stages of the work took.
         """
-        from camcal.run.journal import found_before
+        from camcal.run.outputs import Run
+
+        run = LEDGER.get()
+        reused = run.found_before if isinstance(run, Run) else 0
 
         def more() -> None:
             words()
-            if count := found_before():
-                show.text(f"{counted(count, 'image')} searched by an earlier run")
+            if reused:
+                show.text(f"{counted(reused, 'image')} searched by an earlier run")
             if self.verbose and self.timings:
                 rows = [[name, f"{own.wall_s:.2f}", f"{own.cpu_s:.2f}"] for name, own in self.timings.items()]
                 show.table("time of this process, s", ["stage", "wall clock", "processor"], rows)
 
         timings = {name: vars(timing) for name, timing in self.timings.items()}
-        self.give(lambda: {**document(), "reused": found_before(), "timings": timings}, more, failures)
+        self.give(lambda: {**document(), "reused": reused, "timings": timings}, more, failures)
+
+    def require_all(self, failed: Sequence[str], what: str, output: Path | None) -> None:
+        """Raise ItemsFailed if images failed, with what of them, and how a run that has left its journal goes on."""
+        if failed:
+            from camcal.run.journal import resume_hint
+
+            raise ItemsFailed(f"{counted(len(failed), 'image')} {what}{resume_hint(output)}")
 
 
 @dataclass(frozen=True)

@@ -222,6 +222,13 @@ def lines(items: Sequence[str], verbose: bool) -> None:
         text(f"… and {len(items) - LISTED} more (--verbose lists all)")
 
 
+def titled(title: str, lines_below: Sequence[str], verbose: bool) -> None:
+    """Print a title and lines below it as `lines` does, nothing without lines."""
+    if lines_below:
+        text(title)
+        lines([f"  {line}" for line in lines_below], verbose)
+
+
 def failed(items: Iterable[Outcome[Any, Any] | str]) -> None:
     """Print to stderr why items failed, a line each: outcomes of a fan-out, those with an error, or the reasons."""
     for item in items:

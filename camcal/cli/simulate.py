@@ -1,4 +1,4 @@
-"""`camcal simulate` and `demo`."""
+"""`camcal board`, `simulate` and `demo`: what camcal draws itself."""
 
 import os
 from pathlib import Path
@@ -9,9 +9,11 @@ from camcal.cli.call import Call
 from camcal.messages import counted
 from camcal.report.table import Column
 from camcal.tasks.calibration.options import DemoOptions
+from camcal.tasks.calibration.sheet_options import SheetOptions
 from camcal.tasks.simulation.options import SimulateOptions
 
 if TYPE_CHECKING:
+    from camcal.tasks.calibration.board_sheet import BoardSheet
     from camcal.tasks.calibration.demo import DemoReport
     from camcal.tasks.simulation.simulate import SimulateReport
     from camcal.tasks.simulation.simulate_stereo import StereoReport
@@ -23,6 +25,28 @@ PAIR_COLUMNS = (
     Column("greatest", "px"),
     Column("seen by both", "%"),
 )
+
+
+def board(options: SheetOptions, call: Call) -> None:
+    """Draw a calibration board for printing at true scale, and write its board file.
+
+    Print at 100 % (actual size, no scaling) with black ink only, and measure the ruler and some squares on the sheet:
+    use the measured size of the squares for calibration.
+    """
+    from camcal.tasks.calibration.board_sheet import board_sheet, document
+
+    sheet = board_sheet(options, call.progress)
+    call.give(lambda: document(sheet), lambda: _show_sheet(sheet))
+
+
+def _show_sheet(sheet: "BoardSheet") -> None:
+    options, (width, height) = sheet.options, sheet.ink.size
+    show.text(f"{sheet.board.words}, {width:g} x {height:g} mm, on {sheet.paper.described()}")
+    if sheet.pixels is not None:
+        show.text("  {} x {} pixels, anti-aliased edges".format(*sheet.pixels))
+    show.text("print at 100 % (actual size)" + (", then measure the ruler" if options.ruler else ""))
+    show.text(f"next: camcal calibrate IMAGES --board {options.board_file} -o camera.yaml")
+    show.wrote(options.output, options.board_file, options.kalibr)
 
 
 def simulate(options: SimulateOptions, call: Call) -> None:

@@ -67,7 +67,10 @@ def average_poses(
     half_angles = np.arccos(np.clip(np.abs(quaternions[tried] @ quaternions.T), 0, 1))
     start = Pose(rotations[tried[np.argmin(half_angles.sum(axis=1))]], np.median(translations, axis=0))
     if covariances is not None:
-        whitening = _whitening(np.array(covariances))
+        try:
+            whitening = np.linalg.inv(np.linalg.cholesky(np.array(covariances)))
+        except np.linalg.LinAlgError as error:
+            raise InvalidInput("singular covariance: leave the pose out") from error
     else:
         sigma = _spread(_steps(start, rotations, translations)) if robust else np.ones(6)
         whitening = np.broadcast_to(np.diag(1 / sigma), (len(poses), 6, 6))
@@ -140,14 +143,6 @@ def _spread(steps: Array) -> Array:
     """Return the standard deviations (6,) of steps (N, 6), one for metres and one for radians, outliers or not."""
     parts = [np.median(np.linalg.norm(part, axis=1)) / _MEDIAN_LENGTH for part in (steps[:, :3], steps[:, 3:])]
     return np.repeat(np.maximum(parts, _LEAST_SIGMA), 3)
-
-
-def _whitening(covariances: Array) -> Array:
-    """Return matrices W (N, 6, 6) with Wᵀ W the inverse of covariances."""
-    try:
-        return np.linalg.inv(np.linalg.cholesky(covariances))
-    except np.linalg.LinAlgError as error:
-        raise InvalidInput("singular covariance: leave the pose out") from error
 
 
 def _scatter(steps: Array, weights: Array) -> Array:

@@ -29,7 +29,7 @@ from camcal import files
 from camcal.arrays import Array
 from camcal.cameras.catalogue import model_of
 from camcal.cameras.model import Camera
-from camcal.cameras.validity import field_of_view, folds_inside
+from camcal.cameras.validity import Fold, field_and_fold
 from camcal.errors import InvalidInput
 from camcal.formats import covariance, documents, emit, native_entry, provenance
 from camcal.formats.camera_file import CameraEntry, CameraFile, JointCovariance, Transform
@@ -278,8 +278,9 @@ def implausible(file: CameraFile) -> Iterator[Message]:
             text = f"fx/fy = {ratio:.3g}: check the pixel aspect ratio (anamorphic or stretched video)"
             yield Message("unlikely_aspect", text, {"fx_over_fy": ratio}, child(path, "intrinsics"))
         if not entry.camera.model.is_view:  # a view, not a lens: it may show all around
-            yield from _opening(entry, child(path, "intrinsics"))
-            yield from _folding(entry, child(path, "distortion"))
+            horizontal, fold = field_and_fold(entry.camera, entry.image_circle)
+            yield from _opening(horizontal, child(path, "intrinsics"))
+            yield from _folding(fold, entry, child(path, "distortion"))
         yield from _quality(entry, child(path, "quality"))
         yield from untrustworthy(entry, child(path, "verdict"))
     for name, transform in file.transforms.items():
@@ -297,15 +298,14 @@ def _principal_point(camera: Camera, path: str) -> Iterator[Message]:
             yield Message("unlikely_principal_point", text, {name: value, what: side}, child(path, name))
 
 
-def _opening(entry: CameraEntry, path: str) -> Iterator[Message]:
-    horizontal = math.degrees(field_of_view(entry.camera, entry.image_circle)[0])
+def _opening(field: float, path: str) -> Iterator[Message]:
+    horizontal = math.degrees(field)
     if horizontal < _FIELD_DEG[0] or horizontal > _FIELD_DEG[1]:
         text = f"horizontal field of view {horizontal:.3g}°: check that fx and image_size are of one resolution"
         yield Message("unlikely_field_of_view", text, {"horizontal_deg": horizontal}, child(path, "fx"))
 
 
-def _folding(entry: CameraEntry, path: str) -> Iterator[Message]:
-    fold = folds_inside(entry.camera, entry.image_circle)
+def _folding(fold: Fold, entry: CameraEntry, path: str) -> Iterator[Message]:
     if fold.folds:
         limit = f"distortion is not invertible beyond {fold.radius_px:.0f} px from the centre"
         end = "image corner is at" if entry.image_circle is None else "image circle reaches to"

@@ -124,12 +124,12 @@ class Form:
 
     def locked(self, pose: Pose) -> bool:
         """Return whether angles are in gimbal lock, so that others would say the same."""
-        return self.euler is not None and bool(to_euler(pose.rotation, self.euler).locked)
+        return self.euler is not None and bool(to_euler(pose.rotation, self.euler)[1])
 
     def _rotation(self, pose: Pose) -> Array:
         """Return the rotation as a quaternion, a rotation vector or angles."""
         if self.kind == "euler" and self.euler is not None:
-            return to_euler(pose.rotation, self.euler).angles / _UNITS[self.unit]
+            return to_euler(pose.rotation, self.euler)[0] / _UNITS[self.unit]
         if self.kind == "rvec":
             return pose.vector() / _UNITS[self.unit]
         quaternion = so3.to_quaternion(pose.rotation)

@@ -266,18 +266,6 @@ class EulerOrder:
         return self.axes if self.intrinsic else self.axes[::-1]
 
 
-@dataclass(frozen=True, eq=False)
-class EulerAngles:
-    """Angles (..., 3) in radians, in the order of their axes, and where they are in gimbal lock (...).
-
-    The middle angle is in -π/2 … π/2 for three different axes and in 0 … π where the first and last are the same.
-    Locked: only the sum or difference of the outer angles is known, and the last one is set to 0.
-    """
-
-    angles: Array
-    locked: Array
-
-
 def from_euler(angles: Array, order: EulerOrder) -> Array:
     """Return the rotation matrices (..., 3, 3) of Euler angles (..., 3) in radians."""
     angles = np.asarray(angles, dtype=float)
@@ -286,8 +274,13 @@ def from_euler(angles: Array, order: EulerOrder) -> Array:
     return np.asarray(first @ second @ third)
 
 
-def to_euler(rotation: Array, order: EulerOrder) -> EulerAngles:
-    """Return the Euler angles of rotation matrices (..., 3, 3)."""
+def to_euler(rotation: Array, order: EulerOrder) -> tuple[Array, Array]:
+    """Return the Euler angles (..., 3) in radians of rotation matrices (..., 3, 3), and where they are locked (...).
+
+    They are in the order of their axes; the middle angle is in -π/2 … π/2 for three different axes and in 0 … π where
+    the first and last are the same. In gimbal lock only the sum or difference of the outer angles is known, and the
+    last one is set to 0.
+    """
     r = np.asarray(rotation, dtype=float)
     i, j, k = (_AXES.index(axis) for axis in order.turning)
     if i == k:
@@ -311,7 +304,7 @@ def to_euler(rotation: Array, order: EulerOrder) -> EulerAngles:
     last = np.asarray(np.arctan2(-_parity(last_axis, j) * row[..., 0, other], row[..., 0, j]))
     last = np.where(locked & order.intrinsic, 0.0, last)
     turns = np.stack([first, middle, last], -1)
-    return EulerAngles(turns if order.intrinsic else turns[..., ::-1], locked)
+    return turns if order.intrinsic else turns[..., ::-1], locked
 
 
 def _first_where_locked(r: Array, i: int, j: int, order: EulerOrder) -> Array:

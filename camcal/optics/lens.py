@@ -26,19 +26,6 @@ _GAUSSIAN = 0.42  # standard deviation of the Gaussian nearest to the Airy patte
 _PIXEL_VARIANCE = 1 / 12  # px², of a pixel's own square
 
 
-@dataclass(frozen=True)
-class DepthOfField:
-    """The nearest and farthest distance (m) whose blur disc is no larger than the circle of confusion."""
-
-    near: float
-    far: float
-
-    @property
-    def total(self) -> float:
-        """How deep it is, m; infinite where infinity is sharp."""
-        return self.far - self.near
-
-
 def principal_distance(focal: float, focus: float) -> float:
     """Return v (m), from the rear principal plane to the sharp image of what is at `focus`: 1/f = 1/s + 1/v.
 
@@ -65,16 +52,17 @@ def hyperfocal(focal: float, f_number: float, circle: float) -> float:
     return focal**2 / (f_number * circle) + focal
 
 
-def depth_of_field(focal: float, f_number: float, circle: float, focus: float) -> DepthOfField:
-    """Return what is sharp around `focus`, without the approximation of small apertures.
+def depth_of_field(focal: float, f_number: float, circle: float, focus: float) -> tuple[float, float]:
+    """Return the nearest and farthest distance (m) around `focus` whose blur disc is no larger than the circle.
 
-    near = s (H - f)/(H + s - 2 f), far = s (H - f)/(H - s), or infinity from s = H on.
+    Without the approximation of small apertures, near = s (H - f)/(H + s - 2 f), far = s (H - f)/(H - s), or infinity
+    from s = H on.
     """
     _require_real(focal, focus)
     reach = hyperfocal(focal, f_number, circle)
     near = (reach - focal) / (1 + (reach - 2 * focal) / focus)
     far = (reach - focal) / (reach / focus - 1) if focus < reach else math.inf
-    return DepthOfField(near, far)
+    return near, far
 
 
 def blur_disc(focal: float, f_number: float, focus: float, distance: Array | float) -> Array:

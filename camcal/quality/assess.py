@@ -237,17 +237,17 @@ def _views(calibration: Calibration) -> Iterator[Message]:
 
 
 def _coverage(calibration: Calibration, circle: ImageCircle | None) -> Iterator[Message]:
-    seen = coverage(calibration, circle)
+    cells, reach = coverage(calibration, circle)
     whole, edges = ("diagonal", "in the corners") if circle is None else ("circle", "at the edge of the circle")
-    if seen.reach < _limit("extrapolated"):
+    if reach < _limit("extrapolated"):
         text = (
-            f"no corners beyond {100 * seen.reach:.0f} % of the image {whole}: distortion is extrapolated there; add "
+            f"no corners beyond {100 * reach:.0f} % of the image {whole}: distortion is extrapolated there; add "
             f"views with the board {edges} of the image"
         )
-        yield message("extrapolated", text, seen.reach)
-    elif seen.cells < _limit("coverage"):
-        text = f"corners cover {100 * seen.cells:.0f} % of the image: add views with the board in the other parts"
-        yield message("coverage", text, seen.cells)
+        yield message("extrapolated", text, reach)
+    elif cells < _limit("coverage"):
+        text = f"corners cover {100 * cells:.0f} % of the image: add views with the board in the other parts"
+        yield message("coverage", text, cells)
 
 
 def _noise(calibration: Calibration) -> Iterator[Message]:
@@ -260,15 +260,12 @@ def _noise(calibration: Calibration) -> Iterator[Message]:
     total = sum(view.points for view in calibration.views if view.used or view.rejected)
     if calibration.rejected and len(calibration.rejected) > _limit("rejected") * total:
         share = len(calibration.rejected) / total
-        yield message("rejected", _rejected_words(calibration, share), share)
-
-
-def _rejected_words(calibration: Calibration, share: float) -> str:
-    """Return which corners are rejected and what to do: views that lost most of theirs are best left out."""
-    lost = Counter(corner.image for corner in calibration.rejected)
-    worst = [view.image for view in calibration.views if lost[view.image] > _MOSTLY * max(view.points, 1)]
-    remedy = f"leave out {names_of(worst)}" if worst else "check them with camcal detect --draw"
-    return f"{counted(len(calibration.rejected), 'corner')} ({100 * share:.1f} %) rejected: {remedy}"
+        lost = Counter(corner.image for corner in calibration.rejected)
+        # views that lost most of their corners are best left out
+        worst = [view.image for view in calibration.views if lost[view.image] > _MOSTLY * max(view.points, 1)]
+        remedy = f"leave out {names_of(worst)}" if worst else "check them with camcal detect --draw"
+        text = f"{counted(len(calibration.rejected), 'corner')} ({100 * share:.1f} %) rejected: {remedy}"
+        yield message("rejected", text, share)
 
 
 def _within_views(calibration: Calibration) -> Iterator[Message]:
@@ -332,16 +329,6 @@ def _board(calibration: Calibration) -> Iterator[Message]:
             yield message("correlation", text, abs(value))
 
 
-@dataclass(frozen=True)
-class Coverage:
-    """cells: share of a 10 × 8 grid of the image with a corner in it. reach: largest distance of a corner from the
-    principal point over that of the farthest image corner. Both of what the image circle shows, where there is one.
-    """
-
-    cells: float
-    reach: float
-
-
 @dataclass(frozen=True, eq=False)
 class Trend:
     """Mean radial residual (px, outwards positive) in the ring where it is largest, and the chance of such a pattern
@@ -355,8 +342,12 @@ class Trend:
     means: FloatArray
 
 
-def coverage(calibration: Calibration, circle: ImageCircle | None = None) -> Coverage:
-    """Return how much of the image, or of its image circle, the kept corners cover."""
+def coverage(calibration: Calibration, circle: ImageCircle | None = None) -> tuple[float, float]:
+    """Return the share of a 10 × 8 grid of the image with a kept corner in it, and how far out corners reach.
+
+    The reach is the largest distance of a corner from the principal point over that of the farthest image corner. Both
+    are of what the image circle shows, where there is one.
+    """
     width, height = calibration.camera.image_size
     pixels = calibration.pixels
     cell = np.array([width, height]) / _CELLS
@@ -369,7 +360,7 @@ def coverage(calibration: Calibration, circle: ImageCircle | None = None) -> Cov
     centre = _centre(calibration)
     corners = corners if circle is None else circle.clipped(centre, corners)
     farthest = np.linalg.norm(corners - centre, axis=1).max()
-    return Coverage(cells, float(np.linalg.norm(pixels - centre, axis=1).max() / farthest))
+    return cells, float(np.linalg.norm(pixels - centre, axis=1).max() / farthest)
 
 
 def radial_trend(calibration: Calibration) -> Trend:

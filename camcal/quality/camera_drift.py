@@ -140,7 +140,9 @@ def lens_drift(known: KnownCamera, found: NewViews, inside: BoolArray | None, vi
     gain = prior @ np.linalg.inv(np.eye(len(free)) + information @ (prior + covariance))
     change, left = gain @ score, prior - gain @ information @ prior
     moved = by_lens @ change
-    focal, *centre = (_estimate_of(row, change, left) for row in _rows(camera)[:, free])
+    focal, *centre = (
+        Estimated(float(row @ change), sqrt(max(float(row @ left @ row), 0.0))) for row in _rows(camera)[:, free]
+    )
     return LensDrift(
         *_extent(by_lens[over], moved[over], left),
         chance=min(1.0, len(chances) * min(chances)),
@@ -258,10 +260,6 @@ def _beyond(ratio: float, dof: int, share: float, views: float) -> float:
     Source: Satterthwaite 1946, for a variance of which a part is estimated.
     """
     return variance_ratio_beyond(ratio, dof, max(views - 1, 1) / max(share, 1e-9) ** 2)
-
-
-def _estimate_of(row: Array, change: Array, covariance: Array) -> Estimated:
-    return Estimated(float(row @ change), sqrt(max(float(row @ covariance @ row), 0.0)))
 
 
 def _extent(by: Array, moved: Array, covariance: Array) -> tuple[Estimated, Estimated]:

@@ -218,7 +218,10 @@ def between_views(calibration: Calibration, stated_px: float) -> Iterator[Messag
             yield focal
     yield from _boards(calibration.between_views)
     yield from _blur(calibration.between_views)
-    yield from _tilts(calibration)
+    spread = largest_tilt_deg(calibration)
+    if spread < CRITERIA["tilt"].limit:
+        text = f"largest board tilt {spread:.0f}°: tilt it by 30° to 45° to determine the focal length"
+        yield message("tilt", text, spread)
 
 
 def _beyond(code: str, clear: float, px: float = np.inf) -> bool:
@@ -241,7 +244,7 @@ def _focal_length(calibration: Calibration, stated_px: float) -> Iterator[tuple[
 
     step, drift, views, unordered = found.step, found.drift, found.outlying, found.unordered
     change = max(step, drift, key=lambda change: change.clear)
-    words = _drift_words(drift) if change is drift else _step_words(found, step)
+    words = _change_words(found, change)
     if applies("focal_change", change) and moves_the_map(change):
         yield change.clear, message("focal_change", f"the focal length {words}", change.clear, change.images)
     elif applies("focal_varies", views) and views.clear > change.clear:
@@ -263,17 +266,16 @@ def _focal_length(calibration: Calibration, stated_px: float) -> Iterator[tuple[
         )
 
 
-def _step_words(found: BetweenViews, step: Change) -> str:
+def _change_words(found: BetweenViews, change: Change) -> str:
+    """Return how the focal length changes, by the step or by the drift of what was found, and what to do."""
+    if change is not found.drift:
+        return (
+            f"changes by {100 * change.share:+.2g} % {_near(change.images)}: lock focus and zoom and take all "
+            f"images again, or {_by_themselves(found.images, change.images)}"
+        )
+    where = f" from {shown_name(change.images[0])} to {shown_name(change.images[-1])}" if change.images else ""
     return (
-        f"changes by {100 * step.share:+.2g} % {_near(step.images)}: lock focus and zoom and take all "
-        f"images again, or {_by_themselves(found.images, step.images)}"
-    )
-
-
-def _drift_words(drift: Change) -> str:
-    where = f" from {shown_name(drift.images[0])} to {shown_name(drift.images[-1])}" if drift.images else ""
-    return (
-        f"drifts by {100 * drift.share:+.2g} %{where}: lock focus and zoom, let the camera warm up, and take all "
+        f"drifts by {100 * change.share:+.2g} %{where}: lock focus and zoom, let the camera warm up, and take all "
         "images again"
     )
 
@@ -309,13 +311,6 @@ def largest_tilt_deg(calibration: Calibration) -> float:
     """Return the largest angle between the board's normal in any view and their mean direction."""
     poses = [view.camera_T_board for view in calibration.used if view.camera_T_board]
     return float(np.degrees(tilt_spread(np.stack([pose.rotation for pose in poses]))))
-
-
-def _tilts(calibration: Calibration) -> Iterator[Message]:
-    spread = largest_tilt_deg(calibration)
-    if spread < CRITERIA["tilt"].limit:
-        text = f"largest board tilt {spread:.0f}°: tilt it by 30° to 45° to determine the focal length"
-        yield message("tilt", text, spread)
 
 
 def _near(after: Sequence[str]) -> str:

@@ -5,12 +5,11 @@ Source: Kay, Fundamentals of Statistical Signal Processing: Estimation Theory, 1
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from math import erfc, sqrt
 
 import numpy as np
 
-from camcal.arrays import Array, readonly
+from camcal.arrays import Array
 from camcal.calibrate.problem import BoardProblem, State
 from camcal.cameras.model import Camera
 from camcal.cameras.observations import Observations
@@ -26,26 +25,13 @@ from camcal.targets.detection import BoardDetection
 _LEAST_STD = 1e-12  # of a term of a board's shape, in its unit
 
 
-@dataclass(frozen=True, eq=False)
-class PoseForecast:
-    """The covariance (6, 6) that a pose will have, order tx ty tz rx ry rz (points' unit, rad), and `p_wrong`.
+def forecast_pose(camera: Camera, points: Array, camera_T_object: Pose, noise_px: float) -> tuple[Array, float]:
+    """Return the covariance (6, 6) that the pose of points (N, 3), given in the object frame, will have, and `p_wrong`.
 
-    p_wrong: how often another minimum will fit better than the true one.
-    """
-
-    covariance: Array
-    p_wrong: float
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "covariance", readonly(self.covariance, (6, 6), "covariance"))
-
-
-def forecast_pose(camera: Camera, points: Array, camera_T_object: Pose, noise_px: float) -> PoseForecast:
-    """Return how well the pose of points (N, 3), given in the object frame, will be known.
-
-    noise_px: standard deviation of a pixel coordinate. The uncertainty of the camera's own parameters counts where it
-    is known. Two minima whose exact χ² differ by D are exchanged by the noise with probability Φ(-√D / 2), the error
-    of telling two known signals apart (Kay, Detection Theory, 1998, ch. 4).
+    The order is tx ty tz rx ry rz (points' unit, rad). p_wrong: how often another minimum will fit better than the
+    true one. noise_px: standard deviation of a pixel coordinate. The uncertainty of the camera's own parameters counts
+    where it is known. Two minima whose exact χ² differ by D are exchanged by the noise with probability Φ(-√D / 2), the
+    error of telling two known signals apart (Kay, Detection Theory, 1998, ch. 4).
     Raises InsufficientData if a point is outside the lens's domain or the points do not fix the pose.
     """
     projection = camera.project(camera_T_object.apply(points))
@@ -56,7 +42,7 @@ def forecast_pose(camera: Camera, points: Array, camera_T_object: Pose, noise_px
     if outcome.value is None:
         raise outcome.error or InsufficientData("the points do not fix a pose")
     chances = [0.5 * erfc(sqrt(other.chi_square_difference / 8)) for other in outcome.value.alternatives]
-    return PoseForecast(outcome.value.covariance, max(chances, default=0.0))
+    return outcome.value.covariance, max(chances, default=0.0)
 
 
 def calibration_std(

@@ -16,7 +16,6 @@ Bad pixels are detected in dark frames, stored in a map, and replaced in the mos
 
 import re
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -53,27 +52,12 @@ _MOST_SATURATED = 1e-3  # of the samples: hot pixels are fewer
 _DARKEST = 0.02  # mean light of one colour: 80 of 4095 counts, 10 % noise and the error of the black level
 
 
-@dataclass(frozen=True, eq=False)
-class Stack:
-    """Statistics of every pixel over equal exposures, in the unit of the frames.
+def stack(frames: Iterable[Array]) -> tuple[int, Array, Array]:
+    """Return how many frames (H, W) of one size, counts or linear light, there are, their mean and their deviation.
 
-    mean: (H, W) float32, without the highest and the lowest frame when there are three or more.
-    deviation: (H, W) float32, standard deviation of the frames that went into the mean, NaN for a single one. Without
+    Mean: (H, W) float32, of every pixel, without the highest and the lowest frame when there are three or more.
+    Deviation: (H, W) float32, standard deviation of the frames that went into the mean, NaN for a single one. Without
     its extremes it is less than the noise, by the same factor for all pixels.
-    """
-
-    count: int
-    mean: Array
-    deviation: Array
-
-    def __post_init__(self) -> None:
-        for name in ("mean", "deviation"):
-            object.__setattr__(self, name, readonly(getattr(self, name), (None, None), name, np.float32))
-
-
-def stack(frames: Iterable[Array]) -> Stack:
-    """Return the mean and the deviation of frames (H, W) of one size, counts or linear light.
-
     Raises InsufficientData without a frame, InvalidInput if a frame has another size or is not finite.
     """
     count, sums, extremes = 0, np.zeros((2, 0, 0)), np.zeros((2, 0, 0))
@@ -98,7 +82,7 @@ def stack(frames: Iterable[Array]) -> Stack:
     if kept > 1:
         variance = (sums[1] - sums[0] * sums[0] / kept) / (kept - 1)
         deviation = np.asarray(np.sqrt(np.maximum(variance, 0)), np.float32)
-    return Stack(count, mean, deviation)
+    return count, mean.astype(np.float32), deviation
 
 
 def dark_average(frames: Iterable[Array], white: float) -> Array:
@@ -107,7 +91,7 @@ def dark_average(frames: Iterable[Array], white: float) -> Array:
     white: counts at saturation. Raises InsufficientData without a frame, InvalidInput if frames differ in size, are
     not finite, or are too bright to be dark.
     """
-    dark = stack(frames).mean
+    dark = stack(frames)[1]
     level = float(np.median(dark))
     if level > _BRIGHTEST * white:
         share = f"{level:.0f} of {white:.0f} counts"
@@ -221,14 +205,14 @@ def make_map(darks: Iterable[Array], pattern: str) -> Array:
     Raises InsufficientData without a frame or if a tenth of the pixels is bad, InvalidInput if frames differ in size.
     """
     side = cell_side(pattern)
-    frames = stack(darks)
-    if min(frames.mean.shape) < side:
-        raise InvalidInput(f"a dark frame needs at least {side} × {side} pixels, found {frames.mean.shape[::-1]}")
-    mask = np.zeros(frames.mean.shape, bool)
+    count, mean, deviation = stack(darks)
+    if min(mean.shape) < side:
+        raise InvalidInput(f"a dark frame needs at least {side} × {side} pixels, found {mean.shape[::-1]}")
+    mask = np.zeros(mean.shape, bool)
     for site in phases(pattern):
-        mask[site] = _outliers(frames.mean[site], _BLOCK // side)
-        if frames.count >= _LEAST_FOR_NOISE:
-            mask[site] |= _outliers(frames.deviation[site], _BLOCK // side)
+        mask[site] = _outliers(mean[site], _BLOCK // side)
+        if count >= _LEAST_FOR_NOISE:
+            mask[site] |= _outliers(deviation[site], _BLOCK // side)
     if (share := float(mask.mean())) > _MOST_BAD:
         raise InsufficientData(f"{share:.0%} of the pixels are outliers: check that these are dark frames")
     return readonly(mask, (None, None), "bad pixel map", bool)

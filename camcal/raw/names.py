@@ -7,4 +7,5 @@ ALIGNS = ("lsb", "msb")
 
 AUTO, RI, HALF, NONE = "auto", "ri", "half", "none"
 GREEN, GRAY = "green", "gray"
+COLOURS = ("red", "blue")  # whose lenses differ from that of green
 LIBRAW = "libraw:"  # before the name of one of LibRaw's filters

@@ -44,7 +44,7 @@ from camcal.raw.mosaic import (
     require_pattern,
     sites,
 )
-from camcal.raw.names import GRAY, GREEN, MONO, PATTERNS
+from camcal.raw.names import COLOURS, GRAY, GREEN, MONO, PATTERNS
 from camcal.raw.options import (
     AS_IMAGES,
     BARE_SUFFIXES,
@@ -279,8 +279,6 @@ def _box(content: bytes, name: bytes) -> bytes:
     (length,) = struct.unpack_from(">I", content, place - 4)
     return content[place + 4 : place - 4 + length]
 
-
-COLOURS = ("red", "blue")
 
 _CHANNELS = {"blue": 0, "green": 1, "red": 2}  # of colour images
 _GRAY_LEVELS, _ROUNDING = 255.0, 1e-6

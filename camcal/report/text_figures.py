@@ -178,9 +178,9 @@ def _bar(length: float, mark: float, drawn: Letters) -> str:
 
 def coverage_words(calibration: Calibration, circle: ImageCircle | None) -> str:
     """Return how much of the image corners were seen in, in a line."""
-    seen = coverage(calibration, circle)
+    cells, reach = coverage(calibration, circle)
     shown = "the image" if circle is None else "the image circle"
-    return f"corners in {100 * seen.cells:.0f} % of {shown}, out to {100 * seen.reach:.0f} % of its diagonal"
+    return f"corners in {100 * cells:.0f} % of {shown}, out to {100 * reach:.0f} % of its diagonal"
 
 
 def residual_words(calibration: Calibration) -> str:

@@ -82,12 +82,6 @@ def _lines(path: Path) -> Iterator[tuple[str, str]]:
                 yield fingerprint, data
 
 
-def found_before() -> int:
-    """Return how many images this run did not search, because an earlier one had."""
-    run = files.LEDGER.get()
-    return run.found_before if isinstance(run, Run) else 0
-
-
 @contextmanager
 def journal_beside(output: Path | None, batch: BatchOptions) -> Iterator[None]:
     """Keep a journal beside an output during the block, which writes it; within another block that one's is kept.

@@ -16,7 +16,6 @@ from pathlib import Path
 
 from camcal import files, system
 from camcal.errors import FileError, InvalidInput
-from camcal.formats.cameras.record import name_of_topic
 from camcal.images.image import RAW_SUFFIXES, conversion_advice
 from camcal.images.videos import BAG_SUFFIXES, SUFFIXES, address_of, file_of, is_video
 from camcal.parsing import in_one_line, nearest
@@ -120,7 +119,11 @@ def split_address(text: str) -> tuple[Path, str | None]:
         return Path(text), None
     if not path or not camera:
         raise InvalidInput("a camera is addressed as file.yaml#name", where=text)
-    return Path(path), name_of_topic(camera) if camera.startswith("/") else camera
+    if camera.startswith("/"):
+        from camcal.formats.cameras.record import name_of_topic
+
+        camera = name_of_topic(camera)
+    return Path(path), camera
 
 
 def _expand(text: str, recursive: bool, known: AbstractSet[str]) -> list[Path]:

@@ -97,7 +97,11 @@ def views(
         attempts = _draw(camera, missing, rng, partial, max_tilt)
         attempts = replace(attempts, fill=ease * attempts.fill)
         rotations, translations = _fit_into_image(camera, outline, attempts)
-        for slot in np.flatnonzero(_acceptable(camera, outline, attempts, rotations, translations)):
+        # in the lens's domain, not too oblique, with as many corners as they should have
+        shown = _share_in_image(camera, outline.corners, rotations, translations)
+        whole = _share_in_image(camera, outline.rim, rotations, translations) == 1
+        drawn = _can_be_drawn(camera, outline, rotations, translations)
+        for slot in np.flatnonzero(drawn & np.where(attempts.cut, shown >= PARTIAL_SHARE, whole)):
             found[int(missing[slot])] = Pose(rotations[slot], translations[slot])
     raise InvalidInput(
         f"no pose of the board ({board.words}) fits an image of "
@@ -158,14 +162,6 @@ def _place(rays: Array, distance: Array, turn: Array, centre: Array) -> tuple[Ar
     return rotations, distance[:, None] * rays - rotations @ centre
 
 
-def _acceptable(camera: Camera, outline: _Outline, attempts: _Attempts, rotations: Array, translations: Array) -> Array:
-    """Return the mask (V,) of views in the lens's domain, not too oblique, with as many corners as they should have."""
-    shown = _share_in_image(camera, outline.corners, rotations, translations)
-    whole = _share_in_image(camera, outline.rim, rotations, translations) == 1
-    drawn = _can_be_drawn(camera, outline, rotations, translations)
-    return np.asarray(drawn & np.where(attempts.cut, shown >= PARTIAL_SHARE, whole))
-
-
 def _share_in_image(camera: Camera, points: Array, rotations: Array, translations: Array) -> Array:
     """Return the share (V,) of points (N, 3) on the board that each of V poses has in the image."""
     pixels, valid = project_all(camera, points, rotations, translations)
@@ -204,12 +200,9 @@ def motion(camera: Camera, board: Board, count: int, *, rng: np.random.Generator
     """
     stops = views(camera, board, 2 + (count - 1) // LEG, rng=rng)
     legs = [divmod(index, LEG) for index in range(count)]
-    return [_between(stops[leg], stops[leg + 1], _ease(frame / LEG)) for leg, frame in legs]
-
-
-def _ease(share: float) -> float:
-    """Return a share of the way that begins and ends at rest."""
-    return share**2 * (3 - 2 * share)
+    shares = (frame / LEG for _, frame in legs)  # of the way, which begins and ends at rest
+    pairs = ((stops[leg], stops[leg + 1]) for leg, _ in legs)
+    return [_between(*pair, share**2 * (3 - 2 * share)) for pair, share in zip(pairs, shares, strict=True)]
 
 
 def _between(first: Pose, last: Pose, share: float) -> Pose:

@@ -339,15 +339,11 @@ def disparity(surfaces: Sequence[Surface], camera: StereoCamera, other: StereoCa
             matches, levels = other.pixels(points)
             result[first:last] = (sign * (columns - matches)).reshape(-1, width)
             found = (surface != NOTHING) & other.contains(matches, levels)
-        found[found] = ~_hidden(surfaces, other, points[found])
+        x, y, z = (points[found] - other.place).T
+        nearest = first_hits(surfaces, other.place, x / z, y / z)[1]  # in sight of the other camera
+        found[found] = ~(nearest < z * (1 - SAME))
         visible[first:last] = found.reshape(-1, width)
     return result, visible
-
-
-def _hidden(surfaces: Sequence[Surface], camera: StereoCamera, points: Array) -> Array:
-    """Return which points (N, 3) another surface hides from a camera."""
-    x, y, z = (points - camera.place).T
-    return np.asarray(first_hits(surfaces, camera.place, x / z, y / z)[1] < z * (1 - SAME))
 
 
 def seen(surfaces: Sequence[Surface], camera: StereoCamera, columns: Array, rows: Array) -> tuple[Array, Array]:

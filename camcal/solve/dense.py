@@ -15,7 +15,7 @@ from typing import Generic, TypeVar
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.solve.descent import STOPPING, Descent, Observer, Proposal, Stopping, descend, gauss_newton, unobserved
+from camcal.solve.descent import STOPPING, Descent, Observer, Stopping, descend, gauss_newton, unobserved
 from camcal.solve.least_squares import Problem
 from camcal.solve.steps import Block, SingularError, Step
 
@@ -53,10 +53,16 @@ class DenseEquations:
     def factors(self, scale: Array | None = None, columns: Array | None = None) -> "DenseFactors":
         """Return the factors of the Jacobian with its columns divided by `scale` (n,), by default their lengths.
 
-        columns: (n,) which of them to take, by default all.
+        columns: (n,) which of them to take, by default all. LAPACK's singular values of a tall matrix are those of the
+        triangle of its QR factors. Raises SingularError.
         """
         chosen = slice(None) if columns is None else columns
-        return factorise_dense(self.jacobian[:, chosen], (self.column_norms if scale is None else scale)[chosen])
+        scale = (self.column_norms if scale is None else scale)[chosen]
+        try:
+            left, singular, right = np.linalg.svd(self.jacobian[:, chosen] / scale, full_matrices=False)
+        except np.linalg.LinAlgError as error:
+            raise SingularError(str(error)) from error
+        return DenseFactors(left, singular, right, scale)
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,18 +144,6 @@ def _sparse(vectors: Array) -> Array:
         return vectors
     pivots = qr(vectors, mode="r", pivoting=True)[1][: len(vectors)]
     return np.asarray(np.linalg.solve(vectors[:, pivots], vectors))
-
-
-def factorise_dense(jacobian: Array, scale: Array) -> DenseFactors:
-    """Return the factors of a Jacobian (R, n) with columns divided by scale (n,).
-
-    LAPACK's singular values of a tall matrix are those of the triangle of its QR factors.
-    """
-    try:
-        left, singular, right = np.linalg.svd(jacobian / scale, full_matrices=False)
-    except np.linalg.LinAlgError as error:
-        raise SingularError(str(error)) from error
-    return DenseFactors(left, singular, right, scale)
 
 
 def assemble_dense(blocks: Sequence[Block], count: int) -> DenseEquations:
@@ -255,7 +249,7 @@ class _DenseSearch(Generic[State]):
     def retract(self, state: State, step: Step) -> State:
         return self.problem.retract(state, step)
 
-    def propose(self, state: State, equations: DenseEquations, damping: float) -> Proposal:
+    def propose(self, state: State, equations: DenseEquations, damping: float) -> tuple[Step, float]:
         self._follow(equations)
         low, high = self._room(state)
         free = ~((low >= 0) & (equations.gradient > 0) | (high <= 0) & (equations.gradient < 0))
@@ -267,7 +261,7 @@ class _DenseSearch(Generic[State]):
         visible = promised > _STRAIGHT * equations.cost + _FAINT * self.stopping.rounding
         if self.method.geodesic and not self.method.full and visible:
             step = np.clip(step + self._bend(state, equations, step, damping, free), low, high)
-        return Proposal(Step(step, np.zeros((0, 0))), max(promised, 0.0))
+        return Step(step, np.zeros((0, 0))), max(promised, 0.0)
 
     def _follow(self, equations: DenseEquations) -> None:
         norms = equations.column_norms

@@ -28,14 +28,6 @@ class Equations(Protocol):
 Linear = TypeVar("Linear", bound=Equations)
 
 
-@dataclass(frozen=True, eq=False)
-class Proposal:
-    """A step, and the decrease of the cost predicted by the quadratic model."""
-
-    step: Step
-    promised: float
-
-
 class Search(Protocol[State, Linear]):
     """What the loop requires of a problem and the way to solve its linear equations."""
 
@@ -43,8 +35,11 @@ class Search(Protocol[State, Linear]):
         """Return the equations at a state, or None where it is outside the domain."""
         ...
 
-    def propose(self, state: State, equations: Linear, damping: float) -> Proposal:
-        """Return the damped step; raises SingularError if there is none."""
+    def propose(self, state: State, equations: Linear, damping: float) -> tuple[Step, float]:
+        """Return the damped step, and the decrease of the cost that the quadratic model promises.
+
+        Raises SingularError if there is none.
+        """
         ...
 
     def retract(self, state: State, step: Step) -> State:
@@ -193,17 +188,16 @@ def descend(
     damping, growth, blocked = stopping.damping, 1.0, 0
     for number in range(1, stopping.iterations + 1):
         try:
-            proposal = search.propose(state, equations, damping)
+            step, promised = search.propose(state, equations, damping)
         except SingularError:
             observe(Iteration(number, equations.cost, None, damping, None, None, accepted=False))
             if damping > stopping.most:
                 return Descent(state, equations, number - 1, False, "singular")
             damping, growth = max(damping, stopping.restart) * 2 * growth, growth * 2
             continue
-        promised = proposal.promised
-        trial_state = search.retract(state, proposal.step)
+        trial_state = search.retract(state, step)
         trial = search.linearise(trial_state)
-        observe(_turn(number, equations, trial, damping, proposal))
+        observe(_turn(number, equations, trial, damping, step, promised))
         blocked += trial is None
         if trial is not None and stopping.accepts(trial.cost, equations.cost):
             fall, enough = equations.cost - trial.cost, stopping.enough(damping, promised, trial.cost)
@@ -230,25 +224,27 @@ def gauss_newton(
         raise ValueError("initial values outside the domain of the problem")
     for number in range(stopping.iterations):
         try:
-            proposal = search.propose(state, equations, 0.0)
+            step, promised = search.propose(state, equations, 0.0)
         except SingularError:
             return Descent(state, equations, number, False, "singular")
-        trial_state = search.retract(state, proposal.step)
+        trial_state = search.retract(state, step)
         trial = search.linearise(trial_state)
-        observe(_turn(number + 1, equations, trial, 0.0, proposal))
+        observe(_turn(number + 1, equations, trial, 0.0, step, promised))
         if trial is None or trial.cost > equations.cost:
-            rounding = proposal.promised <= stopping.unseen(equations.cost)
+            rounding = promised <= stopping.unseen(equations.cost)
             reason = REASONS[ROUNDED] if rounding else "the full step leaves the domain" if trial is None else _RAISED
             return Descent(state, equations, number + 1, bool(rounding), reason)
         state, equations = trial_state, trial
-        if proposal.promised <= stopping.little(trial.cost):
+        if promised <= stopping.little(trial.cost):
             return Descent(state, equations, number + 1, True, REASONS[SETTLED])
     return Descent(state, equations, stopping.iterations, False, REASONS[RUNNING])
 
 
-def _turn(number: int, here: Equations, trial: Equations | None, damping: float, proposal: Proposal) -> Iteration:
-    length = math.sqrt(proposal.step.dot(proposal.step))
+def _turn(
+    number: int, here: Equations, trial: Equations | None, damping: float, step: Step, promised: float
+) -> Iteration:
+    length = math.sqrt(step.dot(step))
     if trial is None:
         return Iteration(number, here.cost, None, damping, None, length, accepted=False)
-    gain = (here.cost - trial.cost) / proposal.promised if proposal.promised > 0 else None
+    gain = (here.cost - trial.cost) / promised if promised > 0 else None
     return Iteration(number, here.cost, trial.cost, damping, gain, length, accepted=trial.cost <= here.cost)

@@ -11,7 +11,7 @@ from typing import Generic, NamedTuple, Protocol, TypeVar
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.solve.descent import STOPPING, Observer, Proposal, Stopping, descend, unobserved
+from camcal.solve.descent import STOPPING, Observer, Stopping, descend, unobserved
 from camcal.solve.steps import Block, Factors, Jacobian, NormalEquations, Step, factorise
 
 State = TypeVar("State")
@@ -83,9 +83,9 @@ class _ArrowSearch(Generic[State]):
     def linearise(self, state: State) -> NormalEquations | None:
         return linearise(self.problem, state)
 
-    def propose(self, _: State, equations: NormalEquations, damping: float) -> Proposal:
+    def propose(self, _: State, equations: NormalEquations, damping: float) -> tuple[Step, float]:
         step = factorise(equations.damped(damping)).solve()
-        return Proposal(step, -0.5 * step.dot(equations.gradient))
+        return step, -0.5 * step.dot(equations.gradient)
 
     def retract(self, state: State, step: Step) -> State:
         return self.problem.retract(state, step)
@@ -134,7 +134,9 @@ def _add(total: NormalEquations, block: Block, where: slice | Array) -> float:
     if block.rows_per_group:
         _add_grouped(total, block, where, common)
     else:
-        _add_ungrouped(total, common)
+        gram = np.einsum("dim,djm->ij", rows, rows)
+        total.gradient.shared[columns] += gram[:-1, -1]
+        total.shared_shared[np.ix_(columns, columns)] += gram[:-1, :-1]
     for jacobian in sparse:
         _add_sparse(total, block, where, jacobian, common, weights)
     for first, second in combinations(sparse, 2):
@@ -165,12 +167,6 @@ def _add_grouped(total: NormalEquations, block: Block, where: slice | Array, com
     total.gradient.shared[columns] += gradients.sum(axis=0)
     total.shared_shared[np.ix_(columns, columns)] += gram[:, shared, shared].sum(axis=0)
     total.group_products[np.ix_(_indices(where), columns, columns)] += gram[:, shared, shared]
-
-
-def _add_ungrouped(total: NormalEquations, common: _Common) -> None:
-    gram, columns = np.einsum("dim,djm->ij", common.rows, common.rows), common.columns
-    total.gradient.shared[columns] += gram[:-1, -1]
-    total.shared_shared[np.ix_(columns, columns)] += gram[:-1, :-1]
 
 
 def _add_sparse(

@@ -109,31 +109,27 @@ class Evaluation:
     sparsification: Sparsification | None = None
 
 
-@dataclass(frozen=True, eq=False)
-class Prediction:
-    """What the matcher said of its own errors: sigma (H, W) pixels, NaN where unknown; confidence (H, W) classes."""
-
-    sigma: Array | None = None
-    confidence: Array | None = None
-
-
 def evaluate(
     disparity: Array,
     truth: Array,
     visible: Array | None = None,
     geometry: StereoGeometry | None = None,
-    prediction: Prediction | None = None,
+    sigma: Array | None = None,
+    confidence: Array | None = None,
 ) -> Evaluation:
     """Return the errors of a disparity map.
 
-    disparity, truth: (H, W) pixels, NaN where there is none. visible: (H, W) bool, what both cameras see.
+    disparity, truth: (H, W) pixels, NaN where there is none. visible: (H, W) bool, what both cameras see. sigma: (H, W)
+    pixels, NaN where unknown, and confidence: (H, W) classes, what the matcher said of its own errors.
     Raises InvalidInput if the sizes differ, InsufficientData if no pixel to be counted has a truth.
     """
-    prediction = prediction or Prediction()
     _require_size("truth", truth, disparity)
-    for name, image in (("mask", visible), ("sigma", prediction.sigma), ("confidence", prediction.confidence)):
+    for name, image in (("mask", visible), ("sigma", sigma), ("confidence", confidence)):
         _require_size(name, image, disparity)
-    depths = None if geometry is None else _depths(disparity, truth, geometry)
+    depths = None
+    if geometry is not None:
+        maps = (StereoImage(values, geometry, signed=True) for values in (disparity, truth))
+        depths = np.stack([image.depth(slice(0, len(disparity))) for image in maps])
     known = np.isfinite(truth)
     regions = {ALL: known} if visible is None else {NON_OCCLUDED: known & visible, ALL: known}
     figures: dict[str, Mapping[str, float]] = {}
@@ -142,7 +138,7 @@ def evaluate(
     for region, counted in regions.items():
         if not counted.any():
             raise InsufficientData(f"no pixel of {region} has a truth")
-        pairs = _Pixels.of(disparity, truth, prediction, counted, depths)
+        pairs = _Pixels.of(disparity, truth, sigma, confidence, depths, counted)
         valid = pairs.valid()
         curves = None if valid.sigma is None else sparsify(valid.error, valid.sigma)
         figures[region] = {"density": _percent(np.isfinite(pairs.error)), **_shares(pairs)}
@@ -165,15 +161,22 @@ class _Pixels(NamedTuple):
     depths: Array | None
 
     @staticmethod
-    def of(disparity: Array, truth: Array, prediction: Prediction, counted: Array, depths: Array | None) -> "_Pixels":
+    def of(
+        disparity: Array,
+        truth: Array,
+        sigma: Array | None,
+        confidence: Array | None,
+        depths: Array | None,
+        counted: Array,
+    ) -> "_Pixels":
         found, true = disparity[counted], truth[counted]
         error = np.abs(found - true)
         return _Pixels(
             np.where(np.isfinite(error), error, np.inf),
             found,
             true,
-            _choose(prediction.sigma, counted),
-            _choose(prediction.confidence, counted),
+            _choose(sigma, counted),
+            _choose(confidence, counted),
             _choose(depths, (slice(None), counted)),
         )
 
@@ -259,12 +262,6 @@ def _averages(error: Array) -> dict[str, float]:
         return {"avg": np.nan, "rms": np.nan}
     wide = error.astype(np.float64)
     return {"avg": float(wide.mean()), "rms": float(np.sqrt(np.mean(wide**2)))}
-
-
-def _depths(disparity: Array, truth: Array, geometry: StereoGeometry) -> Array:
-    """Return the depths (2, H, W) of a map and of its truth, m, NaN where there is none."""
-    rows = slice(0, len(disparity))
-    return np.stack([StereoImage(values, geometry, signed=True).depth(rows) for values in (disparity, truth)])
 
 
 def _depth_errors(depth: Array, true_depth: Array) -> dict[str, float]:

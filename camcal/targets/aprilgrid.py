@@ -24,7 +24,6 @@ from camcal.targets.corners.measure import blur_of, clear, tag_reach
 from camcal.targets.corners.refine import refine
 from camcal.targets.detection import MIN_CORNERS, BoardDetection, MaskedImage
 from camcal.targets.tag_lattice import (
-    Predicted,
     TagGroup,
     TagLattice,
     bit_agreement,
@@ -105,23 +104,18 @@ def _candidates(gray: Array, lattice: TagLattice, codes: Array) -> Iterator[_Tag
     for corners, off_px in quadrilaterals(gray):
         groups = most_legible(gray, codes, tag_groups(corners, 1 + lattice.gap))
         for group in groups[:GROUPS]:
-            start, score = place_group(gray, lattice, codes, group)
+            turned = [_place_upright(gray, lattice, codes, group.turned(turns)) for turns in range(4)]
+            start, score = max(turned, key=lambda placed: placed[1])
             if score >= CERTAIN:
                 yield _verify(gray, lattice, codes, _follow(gray, lattice, start, off_px))
 
 
-def place_group(gray: Array, lattice: TagLattice, codes: Array, group: TagGroup) -> tuple[Array, float]:
-    """Return the corners of a group on the board by the agreement of all its bits with codes (tags, n, n), and a score.
-
-    The corners are a grid (2 rows, 2 columns, 2) px, NaN where none. The score is the sum of correlations in standard
-    deviations of what bits at random would give.
-    """
-    upright = [_place_upright(gray, lattice, codes, group.turned(turns)) for turns in range(4)]
-    return max(upright, key=lambda placed: placed[1])
-
-
 def _place_upright(gray: Array, lattice: TagLattice, codes: Array, group: TagGroup) -> tuple[Array, float]:
-    """Return the best place of a group whose corners begin at the upper left of the upright print, and its score."""
+    """Return the corners of a group that begin at the upper left of the upright print, on the board, and a score.
+
+    By the agreement of all its bits with codes (tags, n, n). The corners are a grid (2 rows, 2 columns, 2) px, NaN
+    where none. The score is the sum of correlations in standard deviations of what bits at random would give.
+    """
     column, row = group.cells[:, 0], group.cells[:, 1].max() - group.cells[:, 1]  # rows go upwards on the board
     height, width = int(row.max()), int(column.max())
     agreement = bit_agreement(gray, group.corners, codes).reshape(-1, lattice.rows, lattice.columns)
@@ -142,7 +136,7 @@ def _follow(gray: Array, lattice: TagLattice, start: Array, off_px: float) -> _T
 
     off_px: how far those of the tags may be off.
     """
-    nodes = _measure_nodes(gray, lattice, start, predict(lattice, start), np.full(start.shape[:2], off_px))
+    nodes = _measure_nodes(gray, lattice, start, predict(lattice, start)[1], np.full(start.shape[:2], off_px))
     crossing = nodes.crossing(MOVED) & (nodes.contrast > 0)
     if not crossing.any():
         return _TagCorners.nothing(lattice)
@@ -157,33 +151,31 @@ def _follow(gray: Array, lattice: TagLattice, start: Array, off_px: float) -> _T
 
 def _grow(gray: Array, lattice: TagLattice, seen: _TagCorners) -> _TagCorners:
     """Return the corners without those that stray, with missing ones that are seen where their neighbours put them."""
-    predicted = predict(lattice, seen.grid)
-    side = _side(predicted.steps)
-    off = np.linalg.norm(predicted.places - seen.grid, axis=-1) / side
-    grid = np.where((off > STRAY + 2 * predicted.spread)[..., None], np.nan, seen.grid)
-    missing = np.where(seen.found[..., None], np.nan, predicted.places)
-    nodes = _measure_nodes(gray, lattice, missing, predicted, predicted.spread * side)
+    places, steps, spread = predict(lattice, seen.grid)
+    side = _side(steps)
+    off = np.linalg.norm(places - seen.grid, axis=-1) / side
+    grid = np.where((off > STRAY + 2 * spread)[..., None], np.nan, seen.grid)
+    missing = np.where(seen.found[..., None], np.nan, places)
+    nodes = _measure_nodes(gray, lattice, missing, steps, spread * side)
     new = nodes.crossing(MOVED) & (nodes.contrast > CONTRAST * seen.contrast)
     return _TagCorners(np.where(new[..., None], nodes.grid, grid), seen.contrast)
 
 
-def _measure_nodes(
-    gray: Array, lattice: TagLattice, places: Array, predicted: Predicted, off_px: Array
-) -> NodeMeasurements:
+def _measure_nodes(gray: Array, lattice: TagLattice, places: Array, steps: Array, off_px: Array) -> NodeMeasurements:
     """Return what is seen near the places (2 rows, 2 columns, 2) px that are not NaN and lie in the image.
 
-    off_px: (2 rows, 2 columns) how far the corners may be from them. The contrast is positive where dark and bright are
-    as on the board.
+    steps: see `predict`. off_px: (2 rows, 2 columns) how far the corners may be from them. The contrast is positive
+    where dark and bright are as on the board.
     """
-    side = _side(predicted.steps)
+    side = _side(steps)
     where = ((places > -0.5) & (places < np.array(gray.shape[::-1]) - 0.5)).all(axis=-1) & (side > LEAST_SIDE_PX)
     result = NodeMeasurements(places.copy(), *np.full((3, *side.shape), np.nan))
     if where.any():
         far = bool((off_px[where] > NEAR * WINDOW * side[where]).any())
-        seen = measure_saddles(gray, places[where], WINDOW * predicted.steps[where], CLEARANCE, far=far)
-        result.grid[where], result.agreement[where] = seen.pixels, seen.agreement
-        result.contrast[where] = seen.contrast * lattice.signs[where]
-        result.moved[where] = np.linalg.norm(seen.pixels - places[where], axis=1) / side[where]
+        pixels, contrast, agreement = measure_saddles(gray, places[where], WINDOW * steps[where], CLEARANCE, far=far)
+        result.grid[where], result.agreement[where] = pixels, agreement
+        result.contrast[where] = contrast * lattice.signs[where]
+        result.moved[where] = np.linalg.norm(pixels - places[where], axis=1) / side[where]
     return result
 
 
@@ -199,7 +191,7 @@ def _verify(gray: Array, lattice: TagLattice, codes: Array, seen: _TagCorners) -
     """
     if not seen.found.any():
         return seen
-    grid = np.where(seen.found[..., None], seen.grid, predict(lattice, seen.grid).places)
+    grid = np.where(seen.found[..., None], seen.grid, predict(lattice, seen.grid)[0])
     clockwise = lattice.tags(grid)[:, ::-1]  # from the upper left
     agreement = np.diagonal(bit_agreement(gray, clockwise, codes))
     other = (agreement < OTHER) & (agreement != 0)
@@ -216,7 +208,7 @@ def _measure(samples: MaskedImage, lattice: TagLattice, seen: _TagCorners, side:
     found, grid = seen.found, seen.grid.copy()
     blur = blur_of(samples.values, grid[found])
     for _ in range(PASSES):
-        cells = tag_cells(lattice, grid, predict(lattice, grid, own=True), side)
+        cells = tag_cells(lattice, grid, side)
         crowded = cells.crowded(blur)
         if not crowded:  # without the edges beside them: as deep as cells go in an image that is sharp enough
             depth = np.minimum(cells.depth, cells.reach.min(axis=(1, 2))[:, None, None])
@@ -259,18 +251,19 @@ _AROUND = 20  # corners that say how lines bend at one of them
 _SPARE = 2  # corners to a term of the polynomial
 
 
-def tag_cells(lattice: TagLattice, grid: Array, predicted: Predicted, side: int) -> Cells:
+def tag_cells(lattice: TagLattice, grid: Array, side: int) -> Cells:
     """Return the cells of the corners that a grid (2 rows, 2 columns, 2) px has, NaN where none, row by row.
 
-    predicted: where the neighbours put all corners. side: cells across a tag, its border included.
+    side: cells across a tag, its border included.
     """
+    places, steps, _ = predict(lattice, grid, own=True)
     present = ~np.isnan(grid[..., 0])
     row, column = np.nonzero(present)
     after = 1 - np.stack([column, row], axis=1) % 2  # 1 where the tag lies behind the corner along an edge
     reach, in_tag = tag_reach(after, lattice.gap)
-    beside = _beside(lattice, np.where(present[..., None], grid, predicted.places), predicted.steps)
+    beside = _beside(lattice, np.where(present[..., None], grid, places), steps)
     depth = np.where(in_tag, TAG_BORDER / side, 1.0)
-    return Cells(predicted.steps[present], _bends(lattice, grid), reach, depth, beside.take(np.flatnonzero(present)))
+    return Cells(steps[present], _bends(lattice, grid), reach, depth, beside.take(np.flatnonzero(present)))
 
 
 def _bends(lattice: TagLattice, grid: Array) -> Array:

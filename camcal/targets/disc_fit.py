@@ -187,8 +187,8 @@ def _evaluate(parameters: Array, samples: RimSamples) -> tuple[Array, Array]:
     near = rim(samples.x - parameters[:, [0]], samples.y - parameters[:, [1]], axes)
     variance = np.exp(2 * parameters[:, [BLUR]])
     blur = np.sqrt(np.float32(PIXEL_VARIANCE) + variance)
-    seen = picture(near.distance, near.curvature, blur)
-    value = seen.value + samples.others
+    seen, by_distance, by_blur = picture(near.distance, near.curvature, blur)
+    value = seen + samples.others
     level, contrast, tone = (parameters[:, [k]] for k in (LEVEL, CONTRAST, TONE))
     x, y = samples.x / samples.reach, samples.y / samples.reach
     light = (1 + parameters[:, [9]] * x + parameters[:, [10]] * y) * used
@@ -197,12 +197,12 @@ def _evaluate(parameters: Array, samples: RimSamples) -> tuple[Array, Array]:
     even = level + contrast * shown
     gain = light * contrast * (1 + tone * (1 - 2 * value))
     jacobian = np.empty((len(parameters), COUNT, used.shape[1]), np.float32)
-    along = (-gain * seen.by_distance)[:, None] * near.outward
+    along = (-gain * by_distance)[:, None] * near.outward
     jacobian[:, CENTRE] = along
     jacobian[:, 2] = along[:, 0] * near.unit[:, 0]
     jacobian[:, 3] = along[:, 0] * near.unit[:, 1] + along[:, 1] * near.unit[:, 0]
     jacobian[:, 4] = along[:, 1] * near.unit[:, 1]
-    jacobian[:, BLUR] = gain * seen.by_blur * variance / blur
+    jacobian[:, BLUR] = gain * by_blur * variance / blur
     jacobian[:, LEVEL] = light
     jacobian[:, CONTRAST] = light * shown
     jacobian[:, TONE] = light * contrast * bow
@@ -323,7 +323,7 @@ def _add_others(samples: RimSamples, ellipses: Ellipses, near: Array, touching: 
             continue
         x, y = (ellipses.centres[rows] - ellipses.centres[other]).astype(np.float32).T[..., None]
         away = rim(samples.x[rows] + x, samples.y[rows] + y, ellipses.axes[other])
-        others[rows] += picture(away.distance, away.curvature, np.full((len(rows), 1), blur, np.float32)).value
+        others[rows] += picture(away.distance, away.curvature, np.full((len(rows), 1), blur, np.float32))[0]
     return replace(samples, others=others)
 
 

@@ -232,15 +232,6 @@ class Rim:
     unit: Array
 
 
-@dataclass(frozen=True, eq=False)
-class Picture:
-    """The picture (N, K), 1 inside and 0 outside, and its derivatives by the distance and by the blur, per pixel."""
-
-    value: Array
-    by_distance: Array
-    by_blur: Array
-
-
 def rim(x: Array, y: Array, axes: Array) -> Rim:
     """Return where samples lie, x, y (N, K) from the ellipses' centres; axes (N, 2, 2) symmetric."""
     lengths, frames = (part.astype(x.dtype) for part in np.linalg.eigh(axes))
@@ -283,8 +274,11 @@ def _length(x: Array, y: Array) -> Array:
     return np.asarray(np.sqrt(x * x + y * y))
 
 
-def picture(distance: Array, curvature: Array, blur: Array) -> Picture:
-    """Return the picture at distances (N, K) from rims of curvature (N, K) under blurs (N, 1)."""
+def picture(distance: Array, curvature: Array, blur: Array) -> tuple[Array, Array, Array]:
+    """Return the picture (N, K), 1 inside and 0 outside, and its derivatives by distance and blur, per pixel.
+
+    distance: (N, K) px from rims of curvature (N, K) 1 / px. blur: (N, 1) px.
+    """
     scaled, bend = distance / blur, curvature * blur
     square = bend * bend
     beyond = scaled + bend * (_FIRST + _THIRD * square)
@@ -292,7 +286,7 @@ def picture(distance: Array, curvature: Array, blur: Array) -> Picture:
         _DENSITY * weight * np.exp(-0.5 * z * z) for weight, z in ((_NEAR, scaled), (_FAR, beyond))
     )
     both = density + density_beyond
-    return Picture(
+    return (
         _NEAR * ndtr(-scaled) + _FAR * ndtr(-beyond),
         -both / blur,
         (scaled * both - density_beyond * bend * (_FIRST + 3 * _THIRD * square)) / blur,

@@ -266,8 +266,8 @@ class _MarkerProblem:
 
         Level and contrast are linear: they follow by least squares, whatever the parameters say of them.
         """
-        places, placed = _placed(window, parameters)
-        wide = [drawing.blurred(places, placed.gradients, blur).value for blur in _HALO_PX] if fine else []
+        places, placed = _place(window, parameters)
+        wide = [drawing.blurred(places, placed.gradients, blur)[0] for blur in _HALO_PX] if fine else []
         halo = np.mean(wide, axis=0) if fine else None
         dark = np.concatenate([parameters[: _LEVEL.start], np.zeros(_COUNT - _LEVEL.start)])
         shades = cls(window, drawing, halo, 1.0).evaluated(dark)[1][:, _LEVEL.start :]
@@ -278,22 +278,22 @@ class _MarkerProblem:
     def evaluated(self, parameters: Array) -> tuple[Array, Array]:
         """Return model less image (K,) and the derivatives (K, 27)."""
         window = self.window
-        places, placed = _placed(window, parameters)
-        seen = self.drawing.blurred(places, placed.gradients, np.exp(parameters[_BLUR]))
+        places, placed = _place(window, parameters)
+        value, by_place, by_blur = self.drawing.blurred(places, placed.gradients, np.exp(parameters[_BLUR]))
         level, contrast = window.light[:, :3] @ parameters[_LEVEL], window.light @ parameters[_CONTRAST]
-        stray = np.zeros_like(seen.value) if self.halo is None else self.halo - seen.value
+        stray = np.zeros_like(value) if self.halo is None else self.halo - value
         odds = np.exp(parameters[_TONE])
-        light = seen.value + parameters[_HALO] * stray
+        light = value + parameters[_HALO] * stray
         toned = odds * light / (1 + (odds - 1) * light)
         bow, knee = toned * (1 - toned), parameters[_KNEE]
         steep = contrast * (1 + knee * (1 - 6 * bow))
         shown = toned + knee * bow * (1 - 2 * toned)
         gain = steep * odds / (1 + (odds - 1) * light) ** 2
         direct = (1 - parameters[_HALO]) * gain
-        slope = -direct[:, None] * _along(seen.slope, placed.gradients)
+        slope = -direct[:, None] * _along(by_place, placed.gradients)
         jacobian = np.empty((len(places), _COUNT))
         jacobian[:, _ENTRIES], jacobian[:, _BENDS] = _along(slope, placed.by_entries), _along(slope, window.bends)
-        jacobian[:, _BLUR] = direct * seen.by_blur
+        jacobian[:, _BLUR] = direct * by_blur
         jacobian[:, _TONE] = steep * bow
         jacobian[:, _KNEE] = contrast * bow * (1 - 2 * toned)
         jacobian[:, _HALO] = gain * stray
@@ -333,7 +333,7 @@ class _MarkerProblem:
         return np.asarray(moved)
 
 
-def _placed(window: Window, parameters: Array) -> tuple[Array, Straight]:
+def _place(window: Window, parameters: Array) -> tuple[Array, Straight]:
     """Return the places (K, 2), as u, v, that a window shows, and what the homography makes of them."""
     places = places_of(parameters[_ENTRIES], window.pixels - window.bends @ parameters[_BENDS])
     return places, straight(parameters[_ENTRIES], places)

@@ -49,8 +49,9 @@ class MarkerDrawing:
         starts, ends = self.lines[np.concatenate([upright, level], axis=1)]
         return starts, ends
 
-    def blurred(self, places: Array, gradients: Array, blur: Array | float) -> "Blurred":
-        """Return brightness and slopes at places (K, 2), as u, v.
+    def blurred(self, places: Array, gradients: Array, blur: Array | float) -> tuple[Array, Array, Array]:
+        """Return brightness (K,), 0 to 1, at places (K, 2), as u, v, its derivatives (K, 2) by these, and (K,) by the
+        blur's logarithm.
 
         gradients: (K, 2, 2) of u and of v by x and y, 1/px. blur: standard deviation of the Gaussian, px.
         The drawing is a sum of quadrants, whose corners the blur turns into bivariate normal distributions; for a
@@ -74,16 +75,7 @@ class MarkerDrawing:
         by_u = _sum(below, level) - skew * _sum(q, tilted) + half * _sum(yq, level - curved)
         by_v = _sum(q, summed) - skew * _sum(yq, level) + half * _sum(q - yyq, tilted)
         by_blur = skew * (_sum(q, curved) + _sum(yyq, level)) - _sum(below, tilted) - _sum(yq, summed)
-        return Blurred(value, np.stack([by_u, by_v], axis=1) / widths, by_blur)
-
-
-@dataclass(frozen=True, eq=False)
-class Blurred:
-    """Brightness (K,) of a drawing, 0 to 1, its derivatives (K, 2) by u and v, and (K,) by the blur's logarithm."""
-
-    value: Array
-    slope: Array
-    by_blur: Array
+        return value, np.stack([by_u, by_v], axis=1) / widths, by_blur
 
 
 def _sum(one: Array, other: Array) -> Array:

@@ -227,21 +227,11 @@ class TagLattice:
         return np.asarray(tags.reshape(-1, *tags.shape[2:])[self.ids])
 
 
-@dataclass(frozen=True, eq=False)
-class Predicted:
-    """Where neighbours put corners: places (..., 2) px, NaN where they cannot tell; spread (...), in sides of a tag.
-
-    steps: (..., 2, 2) px, columns are the side of a tag along a row and up a column as they are seen there.
-    """
-
-    places: Array
-    steps: Array
-    spread: Array
-
-
-def predict(lattice: TagLattice, grid: Array, *, own: bool = False) -> Predicted:
+def predict(lattice: TagLattice, grid: Array, *, own: bool = False) -> tuple[Array, Array, Array]:
     """Return where its neighbours put every corner of a grid; own: and the corner itself, which is left out otherwise.
 
+    Places (2 rows, 2 columns, 2) px, NaN where they cannot tell; steps (2 rows, 2 columns, 2, 2) px, whose columns are
+    the side of a tag along a row and up a column as they are seen there; and the spread of the places, in such sides.
     The nearest corners are fitted by a homography, each as exact as a lens that distorts leaves it at its distance.
     """
     nodes, present = lattice.nodes.reshape(-1, 2), ~np.isnan(grid[..., 0]).ravel()
@@ -260,7 +250,7 @@ def predict(lattice: TagLattice, grid: Array, *, own: bool = False) -> Predicted
     known_enough = spread < _MAX_POSITION_STD
     places = np.where(known_enough[:, None], entries[:, 4:6] * size[:, 0] + middle[:, 0], np.nan)
     shape = grid.shape[:2]
-    return Predicted(places.reshape(*shape, 2), (steps * size).reshape(*shape, 2, 2), spread.reshape(shape))
+    return places.reshape(*shape, 2), (steps * size).reshape(*shape, 2, 2), spread.reshape(shape)
 
 
 def _homographies(places: Array, seen: Array, weights: Array) -> tuple[Array, Array]:

@@ -1,10 +1,13 @@
 """The catalogue: its names, and the hint a misspelt one gets."""
 
 import re
+from importlib import import_module
+from pathlib import Path
 
 import pytest
 
-from camcal.cameras.catalogue import MODELS, WIDE_MODEL, help_line, model_named
+from camcal import cameras
+from camcal.cameras.catalogue import _FILES, MODELS, WIDE_MODEL, help_line, model_named
 from camcal.errors import InvalidInput
 
 
@@ -13,6 +16,15 @@ def test_models_are_found_by_their_names_and_aliases():
     assert len(names) == len(set(names))
     for key, model in MODELS.items():
         assert all(model_named(name) is model for name in (key, model.name, *model.aliases))
+
+
+def test_the_lines_of_the_files_name_the_models_that_they_hold():
+    for file, names in _FILES.items():
+        assert [model.name for model in import_module(f"camcal.cameras.{file}").MODELS] == names.split()
+    held = {
+        path.stem for path in Path(cameras.__file__).parent.glob("*.py") if "\nMODELS = (" in path.read_text("utf-8")
+    }
+    assert held == set(_FILES)
 
 
 def test_names_of_other_tools_are_understood():

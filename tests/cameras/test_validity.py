@@ -5,7 +5,7 @@ import pytest
 
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
-from camcal.cameras.validity import field_of_view, folds_inside, valid_block
+from camcal.cameras.validity import ImageCircle, field_and_fold, field_of_view, folds_inside, valid_block
 
 IMAGE_SIZE = (641, 481)
 CORNER = np.hypot(320, 240)
@@ -89,3 +89,12 @@ def test_field_of_view_is_nan_where_an_edge_has_no_ray():
     horizontal, vertical, diagonal = field_of_view(camera("opencv4", k1=-0.5))
     assert np.isnan([horizontal, diagonal]).all()
     assert 0 < vertical < np.pi
+
+
+@pytest.mark.parametrize("model", [("opencv4", -0.5), ("opencv5", -0.2), ("kannala_brandt4", -0.3)])
+@pytest.mark.parametrize("lit", [None, 200.0])
+def test_the_field_and_the_fold_of_one_unprojection_are_those_of_two(model, lit):
+    own = camera(model[0], k1=model[1])
+    circle = None if lit is None else ImageCircle(own.image_size, (own.value("cx"), own.value("cy")), lit)
+    field, fold = field_and_fold(own, circle)
+    np.testing.assert_equal((field, fold), (field_of_view(own, circle)[0], folds_inside(own, circle)))

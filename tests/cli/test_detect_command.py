@@ -249,7 +249,7 @@ def test_a_board_printed_white_on_black_is_said(run, tmp_path, board, line):
     ],
 )
 def test_one_of_a_few_images_that_are_spread_evenly_must_show_the_board(run, tmp_path, board, tried, words):
-    assert run("board", board, "-o", tmp_path / "board.png", "--dpi", 60)[0] == 0
+    assert run("board", board, "-o", tmp_path / "board.png", "--dpi", 36)[0] == 0
     cv2.imwrite(str(tmp_path / "wall.png"), np.full_like(cv2.imread(str(tmp_path / "board.png"), 0), 110))
     images = tmp_path / "images"
     images.mkdir()

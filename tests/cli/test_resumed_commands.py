@@ -12,7 +12,7 @@ from batch_scenes import COMMANDS, SIMULATION, contents, draw_scene
 from room_scene import BESIDE, RoomRig
 
 from camcal.run.outputs import listed
-from camcal.tasks.calibration import corner_refinement
+from camcal.tasks.calibration import images_again
 
 
 @pytest.fixture
@@ -127,7 +127,7 @@ def test_a_calibration_that_ends_while_it_refines_corners_does_not_search_the_im
         whole = contents()
         shutil.rmtree("out")
         with monkeypatch.context() as patch:
-            patch.setattr(corner_refinement, "fan_out", interrupted)
+            patch.setattr(images_again, "fan_out", interrupted)
             assert run(*command)[0] == 130
         assert [path.endswith(".camcal-journal") for path in contents()] == [True]
         code, out, _ = run(*command, "--resume")

@@ -222,12 +222,20 @@ def test_matlab_in_all_its_ways(tmp_path):
         cameras.read(tmp_path / "none.mat")
 
 
+def test_a_fisheye_of_an_old_photonvision_is_refused_by_its_key(tmp_path):
+    lens = Camera(MODELS["opencv5"], SIZE, np.array([300.0, 301, 322.5, 238.25, 0.1, 0.02, 0, 0, 0]))
+    data = json.loads(written(tmp_path, lens, "photonvision").read_text())
+    assert read(tmp_path, json.dumps(data | {"isFisheye": False}), "a.json").cameras
+    with pytest.raises(InvalidInput, match="isFisheye: a version of 2023 with fisheyes is not read"):
+        read(tmp_path, json.dumps(data | {"isFisheye": True}), "b.json")
+
+
 def test_the_other_sides_of_gyroflow(tmp_path):
     profile = json.loads(written(tmp_path, FISHEYE, "gyroflow").read_text())
     assert cameras.read(tmp_path / "file.json").cameras["camera"].extra["x_gyroflow"]["fps"] == 0.0
     wrong = [
         ({"digital_lens": "gopro_superview"}, "'gopro_superview' bends the frames once more: calibrate"),
-        ({"distortion_model": "ptlens"}, "'ptlens' is not among camcal's lens models; read are opencv_fisheye"),
+        ({"distortion_model": "insta360"}, "'insta360' is not among camcal's lens models; read are opencv_fisheye"),
         ({"distortion_model": "sonyx"}, "'sonyx' is not a lens of this program"),
     ]
     for change, said in wrong:
@@ -238,6 +246,19 @@ def test_the_other_sides_of_gyroflow(tmp_path):
     camera = read(tmp_path, json.dumps(polynomial), "a.json").cameras["camera"].camera
     assert camera.model.name == "opencv4"
     assert camera.dist.tolist() == [0.1, 0.02, 0.0, 0.0]
+    # the scale of x and y is 1 + k1 r² for poly3, and 1 + k3 r + k2 r² + k1 r³ for ptlens, r of the plane Z = 1
+    x, y = POINTS[:, 0], POINTS[:, 1]
+    r = np.hypot(x, y)
+    for word, coefficients, scale in (
+        ("poly3", [0.1], 1 + 0.1 * r**2),
+        ("poly5", [0.1, 0.02], 1 + 0.1 * r**2 + 0.02 * r**4),
+        ("ptlens", [0.02, -0.05, 0.03], 1 + 0.03 * r - 0.05 * r**2 + 0.02 * r**3),
+    ):
+        lens = profile["fisheye_params"] | {"distortion_coeffs": coefficients}
+        own = profile | {"distortion_model": word, "fisheye_params": lens}
+        camera = read(tmp_path, json.dumps(own), "a.json").cameras["camera"].camera
+        expected = np.column_stack([300.0 * x * scale + 322.5, 301.0 * y * scale + 238.25])
+        np.testing.assert_allclose(camera.project(POINTS).pixels, expected, atol=1e-9)
     stretched = read(tmp_path, json.dumps(profile | {"input_horizontal_stretch": 1.33}), "a.json")
     assert [each.code for each in stretched.warnings] == ["stretched_images"]
 

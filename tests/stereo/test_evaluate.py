@@ -8,7 +8,7 @@ from hypothesis.extra import numpy as arrays
 
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.stereo.disparity import Confidence, StereoGeometry
-from camcal.stereo.truth import AT_LEAST, FIGURES, Prediction, evaluate, mean_of
+from camcal.stereo.truth import AT_LEAST, FIGURES, evaluate, mean_of
 
 GEOMETRY = StereoGeometry(1000, 1000, 5, 5, 0.2, 10)
 TRUTH = np.full((2, 5), 40.0, np.float32)
@@ -99,7 +99,7 @@ def gaussian(shape=(200, 300), truthful=1.0):
 @pytest.mark.parametrize(("truthful", "one", "two"), [(1, 68.3, 95.4), (0.5, 38.3, 68.3), (2, 95.4, 99.99)])
 def test_coverage_tells_whether_sigma_is_too_small_or_too_large(truthful, one, two):
     disparity, truth, sigma = gaussian(truthful=truthful)
-    valid = evaluate(disparity, truth, prediction=Prediction(sigma)).figures["all-valid"]
+    valid = evaluate(disparity, truth, sigma=sigma).figures["all-valid"]
     # 60 000 pixels: the share has a standard deviation of 0.2 points
     assert valid["within1"] == pytest.approx(one, abs=0.8)
     assert valid["within2"] == pytest.approx(two, abs=0.8)
@@ -108,7 +108,7 @@ def test_coverage_tells_whether_sigma_is_too_small_or_too_large(truthful, one, t
 def test_each_class_has_its_own_coverage():
     disparity, truth, sigma = gaussian()
     confidence = np.where(sigma == 0.2, Confidence.AGREED, Confidence.FILLED).astype(np.uint8)
-    agreed, filled = evaluate(disparity, truth, prediction=Prediction(sigma, confidence)).classes
+    agreed, filled = evaluate(disparity, truth, sigma=sigma, confidence=confidence).classes
     assert (agreed.name, filled.name) == ("agreed", "filled")
     assert agreed.pixels + filled.pixels == disparity.size
     assert agreed.share == pytest.approx(100 / 3, abs=1)
@@ -121,24 +121,24 @@ def test_each_class_has_its_own_coverage():
 def test_sparsification_is_perfect_when_sigma_is_the_error_and_worth_nothing_when_it_is_constant():
     disparity, truth, _ = gaussian()
     error = np.abs(disparity - truth)
-    perfect = evaluate(disparity, truth, prediction=Prediction(error)).sparsification
+    perfect = evaluate(disparity, truth, sigma=error).sparsification
     assert perfect.area == pytest.approx(0, abs=1e-9)  # sums of 60 000 numbers
     np.testing.assert_allclose(perfect.by_error[0], error.mean())
     assert np.all(np.diff(perfect.by_error) < 0)
-    useless = evaluate(disparity, truth, prediction=Prediction(np.ones_like(error))).sparsification
+    useless = evaluate(disparity, truth, sigma=np.ones_like(error)).sparsification
     np.testing.assert_allclose(useless.by_sigma, error.mean(), rtol=0.2)  # 600 pixels are left at the end
 
 
 def test_a_better_sigma_has_a_smaller_area():
     disparity, truth, sigma = gaussian()
-    told = evaluate(disparity, truth, prediction=Prediction(sigma)).figures["all-valid"]["ause"]
+    told = evaluate(disparity, truth, sigma=sigma).figures["all-valid"]["ause"]
     mixed = np.random.default_rng(1).permuted(sigma)
-    assert 0 < told < 0.6 * evaluate(disparity, truth, prediction=Prediction(mixed)).figures["all-valid"]["ause"]
+    assert 0 < told < 0.6 * evaluate(disparity, truth, sigma=mixed).figures["all-valid"]["ause"]
 
 
 def test_pixels_without_sigma_do_not_count_for_it():
     disparity, truth, sigma = gaussian()
-    valid = evaluate(disparity, truth, prediction=Prediction(np.full_like(sigma, np.nan))).figures["all-valid"]
+    valid = evaluate(disparity, truth, sigma=np.full_like(sigma, np.nan)).figures["all-valid"]
     assert np.isnan(valid["within1"])
     assert np.isnan(valid["ause"])
 
@@ -163,7 +163,7 @@ def test_the_mean_counts_each_map_alike_and_leaves_out_what_one_does_not_know():
 def test_the_mean_of_classes_counts_each_pixel_alike():
     def of(error, size):
         image = np.full((size, 10), 40.0)
-        return evaluate(image + error, image, prediction=Prediction(image / 40, np.full(image.shape, 5, np.uint8)))
+        return evaluate(image + error, image, sigma=image / 40, confidence=np.full(image.shape, 5, np.uint8))
 
     (kind,) = mean_of([of(0, 30), of(3, 10)]).classes
     assert (kind.pixels, kind.share, kind.bad2, kind.within1) == (400, 100, 25, 75)
@@ -171,7 +171,7 @@ def test_the_mean_of_classes_counts_each_pixel_alike():
 
 def test_every_figure_is_in_the_list_of_names():
     disparity, truth, sigma = gaussian((20, 20))
-    columns = evaluate(disparity, truth, geometry=GEOMETRY, prediction=Prediction(sigma)).figures.values()
+    columns = evaluate(disparity, truth, geometry=GEOMETRY, sigma=sigma).figures.values()
     assert {name for figures in columns for name in figures} == set(FIGURES)
     assert set(AT_LEAST) <= set(FIGURES)
 

@@ -12,7 +12,7 @@ from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
 from camcal.targets.board import Board
 from camcal.targets.corners.cells import Cells
-from camcal.targets.corners.measure import BoardEdges, bright_depths, seen_cells
+from camcal.targets.corners.measure import board_edges, seen_cells
 
 BOARD = Board("chessboard", 7, 6, 0.03)
 CAMERA = Camera(model_named("opencv5"), (640, 480), np.array([500.0, 505, 322, 238, -0.25, 0.06, 1e-3, -5e-4, 0]))
@@ -71,23 +71,23 @@ def test_blur_brings_the_next_edges_in():
 
 
 def test_bright_squares_hold_the_print():
-    depth = bright_depths((2, 2), 1, 0.1)
-    np.testing.assert_array_equal(depth[0, 0], [[1, 0.1], [0.1, 1]])  # dark before both edges and after both
-    np.testing.assert_array_equal(depth[0, 1], [[0.1, 1], [1, 0.1]])
+    depth = board_edges(Board("charuco", 2, 2, 0.05, 0.04, "DICT_4X4_50"))[2]
+    np.testing.assert_allclose(depth[0], [[1, 0.1], [0.1, 1]])  # dark before both edges and after both
+    np.testing.assert_allclose(depth[1], [[0.1, 1], [1, 0.1]])
 
 
 def test_the_tag_lies_between_the_corners_of_an_aprilgrid():
-    edges = BoardEdges.of(Board("aprilgrid", 2, 2, 0.13, 0.1, "tag36h11"))
+    _, reach, depth = board_edges(Board("aprilgrid", 2, 2, 0.13, 0.1, "tag36h11"))
     # lower left corner: the tag is after it both ways, the gap of 0.3 before; its border is 2 of 10 cells deep
-    np.testing.assert_allclose(edges.reach[0], [[0.3, 1], [0.3, 1]])
-    np.testing.assert_allclose(edges.depth[0], [[0.3, 0.3], [0.3, 0.2]])
-    np.testing.assert_allclose(edges.reach[2], [[1, 0.3], [1, 0.3]])
-    np.testing.assert_allclose(edges.depth[2], [[0.2, 0.3], [0.3, 0.3]])
+    np.testing.assert_allclose(reach[0], [[0.3, 1], [0.3, 1]])
+    np.testing.assert_allclose(depth[0], [[0.3, 0.3], [0.3, 0.2]])
+    np.testing.assert_allclose(reach[2], [[1, 0.3], [1, 0.3]])
+    np.testing.assert_allclose(depth[2], [[0.2, 0.3], [0.3, 0.3]])
 
 
 def test_circles_have_no_crossing_edges():
     with pytest.raises(InvalidInput, match="has no checkerboard corners"):
-        BoardEdges.of(Board("circles", 5, 4, 0.02, diameter=0.01))
+        board_edges(Board("circles", 5, 4, 0.02, diameter=0.01))
 
 
 def test_corners_that_the_lens_has_no_image_of_do_not_count_among_the_narrowest():

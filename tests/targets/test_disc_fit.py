@@ -47,17 +47,17 @@ def disc_under_blur(distance, radius, blur):
 def test_the_picture_is_that_of_a_disc_under_a_gaussian(radius, blur, tolerance):
     """The rule of three points is exact to the second power of κ s; of the third little is left."""
     distance = np.linspace(-2 * blur, 2 * blur, 9) if blur < 3 else np.linspace(-2, 4, 9)
-    seen = picture(distance[None], np.full((1, 9), 1 / radius), np.array([[blur]]))
-    np.testing.assert_allclose(seen.value[0], [disc_under_blur(d, radius, blur) for d in distance], atol=tolerance)
+    value = picture(distance[None], np.full((1, 9), 1 / radius), np.array([[blur]]))[0]
+    np.testing.assert_allclose(value[0], [disc_under_blur(d, radius, blur) for d in distance], atol=tolerance)
 
 
 def test_the_pictures_derivatives_are_its_slopes():
     distance, curvature, blur, h = np.linspace(-3, 3, 13)[None], np.full((1, 13), 0.2), np.array([[1.3]]), 1e-5
-    seen = picture(distance, curvature, blur)
-    along = picture(distance + h, curvature, blur).value - picture(distance - h, curvature, blur).value
-    np.testing.assert_allclose(seen.by_distance, along / 2 / h, atol=1e-6)  # the constants are of single precision
-    wider = picture(distance, curvature, blur + h).value - picture(distance, curvature, blur - h).value
-    np.testing.assert_allclose(seen.by_blur, wider / 2 / h, atol=1e-6)  # likewise
+    _, by_distance, by_blur = picture(distance, curvature, blur)
+    along = picture(distance + h, curvature, blur)[0] - picture(distance - h, curvature, blur)[0]
+    np.testing.assert_allclose(by_distance, along / 2 / h, atol=1e-6)  # the constants are of single precision
+    wider = picture(distance, curvature, blur + h)[0] - picture(distance, curvature, blur - h)[0]
+    np.testing.assert_allclose(by_blur, wider / 2 / h, atol=1e-6)  # likewise
 
 
 @pytest.mark.parametrize("short", [9.0, 5.0, 2.5])

@@ -22,9 +22,10 @@ from camcal.raw.options import AS_IMAGES
 from camcal.simulate.scene import observe, views
 from camcal.targets.board import Board
 from camcal.targets.detection import BoardDetection, Detections
+from camcal.tasks.calibration.board_views import known_circle
 from camcal.tasks.calibration.calibrate import calibrate
 from camcal.tasks.calibration.detect import detect_images, document
-from camcal.tasks.calibration.image_circle_of_views import known_circle, with_circle
+from camcal.tasks.calibration.images_again import with_circle
 from camcal.tasks.calibration.options import CalibrateOptions, DetectOptions
 from camcal.tasks.calibration.video_frames import Video
 

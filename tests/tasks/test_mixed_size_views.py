@@ -19,7 +19,7 @@ from camcal.simulate.scene import observe, views
 from camcal.targets.board import Board, parse_board
 from camcal.targets.detection import CLOCKWISE, COUNTER_CLOCKWISE, BoardDetection, Detections, pixel_map
 from camcal.tasks.calibration.board_views import board_views
-from camcal.tasks.calibration.corner_refinement import _samples
+from camcal.tasks.calibration.images_again import _samples
 from camcal.tasks.calibration.mixed_sizes import same_size, usual_size
 
 SIZE = (640, 480)

@@ -7,8 +7,8 @@ import pytest
 from camcal.errors import InsufficientData
 from camcal.targets.board import parse_board
 from camcal.targets.detect import detect
-from camcal.tasks.calibration.board_views import FEW_LEVELS, gray_levels
 from camcal.tasks.calibration.calibrate import calibrate
+from camcal.tasks.calibration.images_again import FEW_LEVELS, gray_levels
 from camcal.tasks.calibration.options import CalibrateOptions
 
 BOARD = parse_board("chessboard:9x6:25mm")

@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from camcal.arrays import Array, BoolArray, FloatArray
-from camcal.errors import InsufficientData, InvalidInput
 from camcal.estimate.curves.expressions import Expression, parse
 from camcal.records import Brief
 
@@ -87,15 +86,6 @@ def predictions_with_jacobian(
 
 def _filled(values: Array, shape: tuple[int, ...]) -> Array:
     return values if values.shape == shape else np.broadcast_to(values, shape)
-
-
-def require_enough(data: Data, curve: Curve, free: int) -> None:
-    """Raise InsufficientData if there are fewer data than parameters, InvalidInput for a sigma that is not positive."""
-    count = len(data) * curve.components
-    if count < free:
-        raise InsufficientData(f"too few data ({count} for {free} parameters): add data or --fix some")
-    if data.sigma is not None and not np.all(data.sigma > 0):
-        raise InvalidInput(f"sigma must be positive, found {float(np.min(data.sigma)):g}")
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.errors import InvalidInput
-from camcal.estimate.curves.curve import Curve, Data, predictions, predictions_with_jacobian, require_enough
+from camcal.errors import InsufficientData, InvalidInput
+from camcal.estimate.curves.curve import Curve, Data, predictions, predictions_with_jacobian
 from camcal.records import Brief
 from camcal.solve.dense import DenseEquations, DenseMethod, linearise_dense, minimise_dense
 from camcal.solve.descent import Descent, Iteration, Stopping
@@ -96,14 +96,6 @@ class CurveProblem:
         return 0.5 * float(np.sum((np.finfo(float).eps * weighted) ** 2))
 
 
-def loss_named(name: str, scale: float) -> Loss | None:
-    """Return the loss of a name for residuals of standard deviation `scale`, None for least squares ('none')."""
-    if name == "none":
-        return None
-    kind, tuning = LOSSES[name]
-    return kind(tuning * scale)
-
-
 def spread(residuals: Array, components: int, parameters: int) -> float:
     """Return the standard deviation of residuals (N, D) by the median of their lengths, which outliers hardly move.
 
@@ -165,15 +157,19 @@ def search(curve: Curve, data: Data, start: Mapping[str, float], options: Search
     Raises InvalidInput for a start outside its bounds or where the curve is undefined, InsufficientData for few data.
     """
     problem = _problem(curve, data, start, options)
-    require_enough(data, curve, problem.shared)
+    count = len(data) * curve.components
+    if count < problem.shared:
+        raise InsufficientData(f"too few data ({count} for {problem.shared} parameters): add data or --fix some")
+    if data.sigma is not None and not np.all(data.sigma > 0):
+        raise InvalidInput(f"sigma must be positive, found {float(np.min(data.sigma)):g}")
     _require_defined(problem)
     searches = _Searches(options, observe)
     if options.loss == "none":
         return Search(problem, searches.best(problem), searches.runs, None)
     # Huber's loss comes first, which has one minimum for straight models: one that ignores outliers needs to start
     # where they are known as such. Where sigma is unknown, the scale is that of the fit's own residuals.
-    first = _settled(problem, "huber", searches)
-    return first if options.loss == "huber" else _settled(first.problem, options.loss, searches)
+    first = _settle(problem, "huber", searches)
+    return first if options.loss == "huber" else _settle(first.problem, options.loss, searches)
 
 
 def _problem(curve: Curve, data: Data, start: Mapping[str, float], options: SearchOptions) -> CurveProblem:
@@ -248,19 +244,16 @@ class _Searches:
         factors = np.exp(rng.normal(size=(self.options.restarts, len(first))))
         others = np.where(first == 0, np.log(factors), first * factors)
         others = np.clip(others, problem.low[problem.free], problem.high[problem.free])
-        return [first, *(start for start in others if _is_defined(problem, start))]
+        tried = ((start, linearise_dense(problem, start)) for start in others)
+        return [first, *(start for start, equations in tried if equations and np.isfinite(equations.cost))]
 
 
-def _is_defined(problem: CurveProblem, start: Array) -> bool:
-    equations = linearise_dense(problem, start)
-    return equations is not None and bool(np.isfinite(equations.cost))
-
-
-def _settled(problem: CurveProblem, name: str, searches: _Searches) -> Search:
+def _settle(problem: CurveProblem, name: str, searches: _Searches) -> Search:
     """Return the fit with a loss whose scale is that of the residuals it leaves; its problem has the fitted values."""
+    kind, tuning = LOSSES[name]
     for _ in range(_ROUNDS):
         scale = _scale(problem)
-        problem = replace(problem, loss=loss_named(name, scale))
+        problem = replace(problem, loss=kind(tuning * scale))
         found = searches.best(problem)
         problem = replace(problem, values=problem.full(found.state))
         if abs(_scale(problem) - scale) <= _STEADY * scale:

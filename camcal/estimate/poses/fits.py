@@ -260,9 +260,12 @@ def _likeliest(fit: PoseFit, options: PoseOptions, sigma: float) -> PoseFit:
     criterion = _likeliest_agreement(every, fit.problems.masks, areas, options, sigma)
     best = fit.minima.take(lowest(fit.minima))
     squares = criterion.squared(every, best.states, best.which)
-    starts = _joined_starts(
-        fit.starts(), _readmitted(fit, every, best, squares, criterion, sigma), _of_lost(fit, options)
-    )
+    parts = [fit.starts(), _readmit(fit, every, best, squares, criterion, sigma)]
+    lost = np.flatnonzero(fit.problems.counts == 0)  # the views that have no pose so far: from all their points
+    if lost.size:
+        minima = _plain(fit.group.take(lost), options).minima
+        parts.append((minima.states, lost[minima.which]))
+    starts = np.concatenate([states for states, _ in parts]), np.concatenate([which for _, which in parts])
     items = spoilt[_undecided(fit, every, best, squares, criterion, starts)[spoilt]]
     if not items.size:
         return fit
@@ -284,7 +287,7 @@ def _likeliest_agreement(
     return replace(criterion_of(options, sigma), threshold=threshold)
 
 
-def _readmitted(
+def _readmit(
     fit: PoseFit,
     every: PoseProblems,
     best: Minima,
@@ -312,20 +315,6 @@ def _readmitted(
     best = best.take(more)
     wider = every.take(best.which).masked(tuple(mask[more] for mask in masks))
     return wider.minimise(best.states, np.arange(len(best.which)), rough=True).states, best.which
-
-
-def _of_lost(fit: PoseFit, options: PoseOptions) -> Starts:
-    """Return the poses of the views that have none so far, from all their points."""
-    lost = np.flatnonzero(fit.problems.counts == 0)
-    if not lost.size:
-        return _NO_STARTS
-    minima = _plain(fit.group.take(lost), options).minima
-    return minima.states, lost[minima.which]
-
-
-def _joined_starts(*parts: Starts) -> Starts:
-    states, which = zip(*parts, strict=True)
-    return np.concatenate(states), np.concatenate(which)
 
 
 def _undecided(

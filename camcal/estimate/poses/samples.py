@@ -63,21 +63,30 @@ def poses_of_samples(
 class _Search:
     """The random triplets of one problem: how many were drawn and are needed, and the lowest score of a pose so far.
 
-    points: indices of those that each camera has.
+    points: indices of those that each camera has. The score of a pose is its truncated error, from some of the points
+    where there are many. A point is off by J y / (d · y) to first order, where y is the point in the camera, d its
+    pixel's ray and J the derivative of pixels at d, where J d = 0: that is enough to tell what is within the limit, and
+    takes one product. factors: (3 N, 13) of the rows of poses and a one, in single precision.
     """
 
-    scorer: "_Scorer"
+    factors: Array
+    limit: np.float32
     rng: np.random.Generator
     points: list[Array]
-    best: float
+    best: float = np.inf
     drawn: int = 0
     needed: float = MOST
 
     @classmethod
     def of(cls, problems: PoseProblems, problem: int, criterion: InlierCriterion, seed: int) -> "_Search":
         rng, points = np.random.default_rng(seed), [np.flatnonzero(mask[problem]) for mask in problems.masks]
-        scorer = _Scorer.of(problems, int(problems.view[problem]), points, criterion, rng)
-        return cls(scorer, rng, points, scorer.unsupported)
+        view, factors = problems.view[[problem]], []
+        for packed, every in zip(problems.packed_views, points, strict=True):
+            some = np.sort(rng.choice(every, _SCORED, replace=False)) if len(every) > _SCORED else every
+            chosen = packed.take(view).only(some)
+            factors.append(chosen.sight_factors(np.sqrt(chosen.variances()) if criterion.in_pixels else 1.0))
+        rows = np.concatenate(factors, axis=1, dtype=np.float32).reshape(-1, factors[0].shape[-1])
+        return cls(rows, np.float32(criterion.threshold) ** 2, rng, points)
 
     def draw(self) -> list[Array]:
         """Return some more triplets (T, 3) of points of each camera."""
@@ -91,12 +100,27 @@ class _Search:
 
     def promising(self, states: Array) -> Array:
         """Return the few best of states (S, 3, 4), none if an earlier one was better than these."""
-        scores = self.scorer.scores(states)
+        scores = self.scores(states)
         first = np.argsort(scores, kind="stable")[:_PROMISING]
-        if not first.size or scores[first[0]] >= self.best:
+        # the score of a pose that no point supports but the three it was made from
+        unsupported = float(self.limit) * (len(self.factors) // 3 - _CORNERS) * (1 - _ROUNDED)
+        if not first.size or scores[first[0]] >= min(self.best, unsupported):
             return states[:0]
         self.best = scores[first[0]]
-        return states[first[scores[first] < self.scorer.unsupported]]
+        return states[first[scores[first] < unsupported]]
+
+    def scores(self, states: Array) -> Array:
+        """Return the scores (S,) of states (S, 3, 4), the lowest best."""
+        rows = np.ones((13, len(states)), np.float32)
+        rows[:12] = states.transpose(1, 2, 0).reshape(12, -1)
+        with np.errstate(all="ignore"):
+            seen = (self.factors @ rows).reshape(3, len(self.factors) // 3, len(states))
+            squared, v, depth = seen
+            np.maximum(depth, 0.0, out=depth)
+            np.square(seen, out=seen)  # in place: new arrays of this size cost more than what is computed
+            squared += v
+            squared /= depth
+            return np.asarray(np.fmin(squared, self.limit, out=squared).sum(axis=0))
 
 
 def _needed(inliers: int, count: int, confidence: float) -> float:
@@ -131,51 +155,3 @@ def _triplets(points: Array, count: int, rng: np.random.Generator) -> Array:
     third += third >= low
     third += third >= high
     return np.asarray(points[np.stack([first, second, third], axis=1)])
-
-
-@dataclass(frozen=True, eq=False)
-class _Scorer:
-    """The truncated error of many poses of one view, from some of its points where there are many.
-
-    A point is off by J y / (d · y) to first order, where y is the point in the camera, d its pixel's ray and J the
-    derivative of pixels at d, where J d = 0: that is enough to tell what is within the limit, and takes one product.
-    factors: (3 N, 13) of the rows of poses and a one, in single precision.
-    """
-
-    factors: Array
-    limit: np.float32
-
-    @classmethod
-    def of(
-        cls,
-        problems: PoseProblems,
-        view: int,
-        points: list[Array],
-        criterion: InlierCriterion,
-        rng: np.random.Generator,
-    ) -> "_Scorer":
-        factors = []
-        for packed, every in zip(problems.packed_views, points, strict=True):
-            some = np.sort(rng.choice(every, _SCORED, replace=False)) if len(every) > _SCORED else every
-            chosen = packed.take(np.array([view])).only(some)
-            factors.append(chosen.sight_factors(np.sqrt(chosen.variances()) if criterion.in_pixels else 1.0))
-        rows = np.concatenate(factors, axis=1, dtype=np.float32).reshape(-1, factors[0].shape[-1])
-        return cls(rows, np.float32(criterion.threshold) ** 2)
-
-    @property
-    def unsupported(self) -> float:
-        """The score of a pose that no point supports but the three it was made from."""
-        return float(self.limit) * (len(self.factors) // 3 - _CORNERS) * (1 - _ROUNDED)
-
-    def scores(self, states: Array) -> Array:
-        """Return the scores (S,) of states (S, 3, 4), the lowest best."""
-        rows = np.ones((13, len(states)), np.float32)
-        rows[:12] = states.transpose(1, 2, 0).reshape(12, -1)
-        with np.errstate(all="ignore"):
-            seen = (self.factors @ rows).reshape(3, len(self.factors) // 3, len(states))
-            squared, v, depth = seen
-            np.maximum(depth, 0.0, out=depth)
-            np.square(seen, out=seen)  # in place: new arrays of this size cost more than what is computed
-            squared += v
-            squared /= depth
-            return np.asarray(np.fmin(squared, self.limit, out=squared).sum(axis=0))

@@ -14,7 +14,7 @@ import numpy as np
 from camcal.arrays import Array, BoolArray, FloatArray
 from camcal.errors import InsufficientData, InvalidInput, NotConverged
 from camcal.estimate.smoothing.kalman import Consistency, consistency, gate, successive
-from camcal.estimate.smoothing.linear_system import Filtered, LinearSystem, Smoothed, kalman_filter, rts
+from camcal.estimate.smoothing.linear_system import Filtered, LinearSystem, kalman_filter, rts
 from camcal.solve.losses import Huber
 from camcal.solve.steps import banded, blocks_of
 
@@ -47,8 +47,8 @@ class BatchSolution:
     degrees_of_freedom: int
     log_likelihood: float
 
-    def smoothed(self) -> Smoothed:
-        """Return the states with their covariances (K, n, n), the blocks on the diagonal of the inverse of L Lᵀ.
+    def smoothed(self) -> tuple[Array, Array]:
+        """Return the states (K, n) with their covariances (K, n, n), the blocks on the diagonal of the inverse of L Lᵀ.
 
         Given the next state, a state has covariance C = (L Lᵀ)⁻¹ of its own block, and follows the next with the gain
         G = -L⁻ᵀ Bᵀ, B the block below: P = C + G P_next Gᵀ, the smoother's recursion.
@@ -56,8 +56,13 @@ class BatchSolution:
         inverse = np.linalg.inv(self.diagonal)
         own = np.swapaxes(inverse, 1, 2) @ inverse
         gains = -np.swapaxes(self.below @ inverse[:-1], 1, 2)
-        result = _recursion_as_triangle(own, gains) if own.shape[1] <= _SMALL_STATE else _recursion(own, gains)
-        return Smoothed(self.means, np.asarray((result + np.swapaxes(result, 1, 2)) / 2))
+        if own.shape[1] <= _SMALL_STATE:
+            result = _recursion_as_triangle(own, gains)
+        else:
+            result = own.copy()
+            for k in reversed(range(len(gains))):
+                result[k] += gains[k] @ result[k + 1] @ gains[k].T
+        return self.means, np.asarray((result + np.swapaxes(result, 1, 2)) / 2)
 
 
 def solve_batch(system: LinearSystem) -> BatchSolution:
@@ -106,7 +111,7 @@ def _process_precision(system: LinearSystem) -> tuple[Array, float]:
     """Return Q⁻¹ (K - 1, n, n), zero where a chain ends, and the sum of ln |Q|."""
     linked = system.linked[:, None, None]
     try:
-        precision, log_determinant = _inverted(np.where(linked, system.process, np.eye(system.process.shape[-1])))
+        precision, log_determinant = _invert(np.where(linked, system.process, np.eye(system.process.shape[-1])))
     except np.linalg.LinAlgError as error:
         raise InvalidInput("process noise without inverse (discrete noise has rank 1): smooth with rts") from error
     return np.where(linked, precision, 0.0), log_determinant
@@ -117,13 +122,13 @@ def _measured_precision(system: LinearSystem) -> tuple[Array, float]:
     present = system.present
     both = present[:, :, None] & present[:, None, :]
     try:
-        precision, log_determinant = _inverted(np.where(both, system.noise, np.eye(present.shape[1])))
+        precision, log_determinant = _invert(np.where(both, system.noise, np.eye(present.shape[1])))
     except np.linalg.LinAlgError as error:
         raise InvalidInput("a measurement's covariance is not positive definite: check for sigma = 0") from error
     return np.where(both, precision, 0.0), log_determinant
 
 
-def _inverted(matrices: Array) -> tuple[Array, float]:
+def _invert(matrices: Array) -> tuple[Array, float]:
     """Return the inverses (K, n, n) of covariances and the sum of their log-determinants; raises LinAlgError."""
     variances = np.einsum("kii->ki", matrices)
     if not (variances > 0).all():
@@ -153,15 +158,8 @@ def _normal_equations(system: LinearSystem, process: Array, measured: Array) -> 
     return blocks, -np.swapaxes(weighted, 1, 2), right
 
 
-def _recursion(own: Array, gains: Array) -> Array:
-    result = own.copy()
-    for k in reversed(range(len(gains))):
-        result[k] += gains[k] @ result[k + 1] @ gains[k].T
-    return result
-
-
 def _recursion_as_triangle(own: Array, gains: Array) -> Array:
-    """Return what `_recursion` does: it is linear in the entries of P, a banded triangle that LAPACK solves."""
+    """Return P of P = own + G P_next Gᵀ: it is linear in the entries of P, a banded triangle that LAPACK solves."""
     from scipy.linalg.lapack import dtbtrs
 
     count, size, _ = own.shape
@@ -206,18 +204,19 @@ def squared_residuals(system: LinearSystem, means: Array) -> Array:
     return np.asarray(np.einsum("km,km->k", off, np.linalg.solve(noise, off[:, :, None])[..., 0]))
 
 
-def disagreement(system: LinearSystem, weights: Array, smoothed: Smoothed) -> Array:
+def disagreement(system: LinearSystem, weights: Array, means: Array, covariances: Array) -> Array:
     """Return the squared deletion residual of each measurement, normalised by its covariance (K,).
 
     It is χ² of as many degrees of freedom as the measurement has numbers, if that one is good. NaN where the others
-    say nothing, or nothing was measured. weights: (K,) with which the states were smoothed.
+    say nothing, or nothing was measured. weights: (K,) with which the states were smoothed. means: (K, n) of the
+    states. covariances: (K, n, n).
     Source: Cook and Weisberg, Residuals and Influence in Regression, 1982, section 2.2 (deletion residuals).
     """
-    off, noise, present = _residuals(system, smoothed.means)
+    off, noise, present = _residuals(system, means)
     H = system.observation
     both = present[:, :, None] & present[:, None, :]
     used = noise / weights[:, None, None]
-    spare = used - np.where(both, H @ smoothed.covariances @ H.T, 0.0)
+    spare = used - np.where(both, H @ covariances @ H.T, 0.0)
     redundant = np.linalg.eigvalsh(spare)[:, 0] > 1e-9 * np.einsum("kmm->km", used).max(axis=1)
     leverage = used @ np.linalg.inv(np.where(redundant[:, None, None], spare, np.eye(len(H))))
     deleted = np.einsum("kij,kj->ki", leverage, off)
@@ -265,36 +264,28 @@ class MeasurementFit:
     consistency: Consistency
 
 
-@dataclass(frozen=True, eq=False)
-class SmoothedSystem(MeasurementFit):
-    """The states of a system given all measurements, and how these fit."""
+def smooth_system(
+    system: LinearSystem, method: str = "rts", robust: bool = False
+) -> tuple[Array, Array, MeasurementFit]:
+    """Return the states of a system given all measurements, means (K, n) and covariances (K, n, n), and how these fit.
 
-    states: Smoothed
-
-
-def smooth_system(system: LinearSystem, method: str = "rts", robust: bool = False) -> SmoothedSystem:
-    """Return a system smoothed by a method of METHODS (both give the same states), robustly by Huber's loss.
-
+    method: of METHODS, both give the same states. robust: by Huber's loss.
     Raises InsufficientData if a state is not observed, InvalidInput if process noise has no inverse for the batch, or
     if it is so unlike measurement noise that rounding hides one of them.
     """
     try:
-        return _smooth_system(system, method, robust)
+        weights = robust_weights(system) if robust else np.ones(len(system))
+        judged = weighted = system.weighted(weights)
+        filtered = kalman_filter(weighted)
+        means, covariances = solve_batch(weighted).smoothed() if method == "batch" else rts(weighted, filtered)
+        outliers = is_outlier(disagreement(system, weights, means, covariances), system.present.sum(axis=1))
+        if robust:
+            judged = system.without(outliers)
+            filtered = kalman_filter(judged)
+        report = _report(judged, filtered)
     except np.linalg.LinAlgError as error:
         raise InvalidInput("q and sigma are too different in magnitude: check their units") from error
-
-
-def _smooth_system(system: LinearSystem, method: str, robust: bool) -> SmoothedSystem:
-    weights = robust_weights(system) if robust else np.ones(len(system))
-    judged = weighted = system.weighted(weights)
-    filtered = kalman_filter(weighted)
-    states = solve_batch(weighted).smoothed() if method == "batch" else rts(weighted, filtered)
-    outliers = is_outlier(disagreement(system, weights, states), system.present.sum(axis=1))
-    if robust:
-        judged = system.without(outliers)
-        filtered = kalman_filter(judged)
-    report = _report(judged, filtered)
-    return SmoothedSystem(weights, outliers, filtered.nis, filtered.log_likelihood, report, states)
+    return means, covariances, MeasurementFit(weights, outliers, filtered.nis, filtered.log_likelihood, report)
 
 
 def _report(system: LinearSystem, filtered: Filtered) -> Consistency:

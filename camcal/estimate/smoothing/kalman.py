@@ -88,20 +88,13 @@ def update(state: Gaussian, innovation: Array, H: Array, R: Array) -> Updated:
     return Updated(Gaussian(state.mean + gain @ innovation, covariance), nis, float(log_likelihood), S, whitened)
 
 
-def smoother_gain(filtered: Gaussian, predicted: Gaussian, F: Array) -> Array:
-    """Return the gain (n, n) that takes what later measurements changed one step back: P Fᵀ P⁻¹.
-
-    filtered: the state at this step. predicted: of the next one, before its measurement. F: between them.
-    """
-    return np.linalg.solve(predicted.covariance, F @ filtered.covariance).T
-
-
 def smooth_back(filtered: Gaussian, predicted: Gaussian, smoothed: Gaussian, F: Array) -> Gaussian:
     """Return the state at a step given all measurements, from the smoothed state of the next step.
 
+    filtered: the state at this step. predicted: of the next one, before its measurement. F: between them.
     Source: Rauch, Tung, Striebel 1965.
     """
-    gain = smoother_gain(filtered, predicted, F)
+    gain = np.linalg.solve(predicted.covariance, F @ filtered.covariance).T  # P Fᵀ P⁻¹, P the next one's last
     mean = filtered.mean + gain @ (smoothed.mean - predicted.mean)
     change = gain @ (smoothed.covariance - predicted.covariance) @ gain.T
     return Gaussian(mean, _symmetric(filtered.covariance + change))
@@ -292,7 +285,10 @@ def extended_filter(
     before, predicted, states, updates, transitions = start, [], [], [], []
     for k, measured in enumerate(measurements):
         predicted.append(before)
-        step = None if measured is None else _measured(model, before, measured)
+        step = None
+        if measured is not None:
+            innovation = model.difference(measured, model.h(before.mean))
+            step = update(before, innovation, model.H(before.mean), model.R)
         state = before if step is None else step.state
         states.append(state)
         updates.append(step)
@@ -310,7 +306,3 @@ def extended_smoother(run: ExtendedRun) -> tuple[Gaussian, ...]:
     for k in reversed(range(len(run.states) - 1)):
         smoothed.append(smooth_back(run.states[k], run.predicted[k + 1], smoothed[-1], run.transitions[k]))
     return tuple(reversed(smoothed))
-
-
-def _measured(model: ExtendedModel, before: Gaussian, measured: Array) -> Updated:
-    return update(before, model.difference(measured, model.h(before.mean)), model.H(before.mean), model.R)

@@ -129,14 +129,6 @@ class LinearSystem:
 
 
 @dataclass(frozen=True, eq=False)
-class Smoothed:
-    """States given all measurements: means (K, n) and covariances (K, n, n)."""
-
-    means: Array
-    covariances: Array
-
-
-@dataclass(frozen=True, eq=False)
 class Information:
     """What is known of a state that is not yet observed whole: precision (n, n) and precision times mean (n,)."""
 
@@ -189,9 +181,10 @@ def kalman_filter(system: LinearSystem) -> Filtered:
     return Filtered(tuple(predicted), tuple(states), tuple(updates))
 
 
-def rts(system: LinearSystem, filtered: Filtered) -> Smoothed:
+def rts(system: LinearSystem, filtered: Filtered) -> tuple[Array, Array]:
     """Return the states given all measurements, from what the filter knew: the smoother of Rauch, Tung and Striebel.
 
+    They are means (K, n) and covariances (K, n, n).
     Raises InsufficientData if a state is not observed (`LinearSystem.unobserved` says which).
     """
     smoothed: list[Gaussian] = []
@@ -206,7 +199,7 @@ def rts(system: LinearSystem, filtered: Filtered) -> Smoothed:
             state = smooth_back(state, ahead, smoothed[-1], system.transitions[k])
         smoothed.append(state)
     smoothed.reverse()
-    return Smoothed(np.array([s.mean for s in smoothed]), np.array([s.covariance for s in smoothed]))
+    return np.array([s.mean for s in smoothed]), np.array([s.covariance for s in smoothed])
 
 
 def _measure(before: Gaussian, system: LinearSystem, k: int) -> Updated | None:

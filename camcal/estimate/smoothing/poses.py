@@ -25,9 +25,8 @@ from camcal.estimate.smoothing.batch import (
     smooth_system,
     solve_batch,
 )
-from camcal.estimate.smoothing.linear_system import LinearSystem, MotionModel, Smoothed, kalman_filter, rts
+from camcal.estimate.smoothing.linear_system import LinearSystem, MotionModel, kalman_filter, rts
 from camcal.estimate.smoothing.series import (
-    KnownSmootherNoise,
     SmootherNoise,
     likeliest_noise,
     measured_noise,
@@ -201,15 +200,11 @@ def smooth_poses(measured: Trajectory, options: PosesOptions = PosesOptions()) -
     known = options.sigma is not None or measured.covariances is not None
     noises = _noise(problem, options, known)
     problem = problem.with_noise(*noises)
-    guess = _settled(problem, problem.first_guess(), _robust if options.robust else _likeliest)
-    found = smooth_system(problem.system(guess), options.method, options.robust)
+    guess = _settle(problem, problem.first_guess(), _robust if options.robust else _likeliest)
+    means, covariances, fit = smooth_system(problem.system(guess), options.method, options.robust)
     return SmoothedPoses(
-        found.weights,
-        found.outliers,
-        nis=found.nis,
-        log_likelihood=found.log_likelihood,
-        consistency=found.consistency,
-        trajectory=_trajectory(measured, problem, guess, found.states),
+        **vars(fit),
+        trajectory=_trajectory(measured, problem, guess, means, covariances),
         q=noises[0],
         sigma=options.sigma if known else noises[1],
     )
@@ -225,9 +220,9 @@ def poses_at(measured: Trajectory, smoothed: SmoothedPoses, options: PosesOption
     problem = problem.with_noise(smoothed.q, (1.0, 1.0))
     start = PoseProblem.of(smoothed.trajectory, options.motion, None, stamps).first_guess()
     # By filter: stamps may lie so near each other that a batch would lose its digits.
-    guess = _settled(problem, start, _filtered)
+    guess = _settle(problem, start, lambda system: rts(system, kalman_filter(system))[0])
     system = problem.system(guess)
-    everything = _trajectory(measured, problem, guess, rts(system, kalman_filter(system)))
+    everything = _trajectory(measured, problem, guess, *rts(system, kalman_filter(system)))
     return everything.rows(np.searchsorted(everything.stamps, stamps))
 
 
@@ -245,13 +240,13 @@ def _noise(problem: PoseProblem, options: PosesOptions, known: bool) -> tuple[Pa
     start = problem.with_noise(
         (guesses[0].q, guesses[1].q), (1.0, 1.0) if known else (guesses[0].sigma, guesses[1].sigma)
     )
-    system = problem.system(_settled(start, start.first_guess(), _robust if options.robust else _likeliest))
+    system = problem.system(_settle(start, start.first_guess(), _robust if options.robust else _likeliest))
     found = []
     for index, guess in enumerate(guesses):
         states = np.flatnonzero(np.arange(system.observation.shape[1]) % 6 // 3 == index)
         part = system.part(states, states[:3])
-        noise = KnownSmootherNoise(None if options.q is None else options.q[index], 1.0 if known else None)
-        found.append(likeliest_noise(part, noise, guess, options.robust))
+        q, sigma = None if options.q is None else options.q[index], 1.0 if known else None
+        found.append(likeliest_noise(part, q, sigma, guess, options.robust))
     return (found[0].q, found[1].q), (found[0].sigma, found[1].sigma)
 
 
@@ -263,7 +258,7 @@ def _guess(problem: PoseProblem, values: Array, known: bool, what: str) -> Smoot
     return SmootherNoise(q, 1.0 if known else sigma)
 
 
-def _settled(problem: PoseProblem, guess: PoseGuess, means_of: Callable[[LinearSystem], Array]) -> PoseGuess:
+def _settle(problem: PoseProblem, guess: PoseGuess, means_of: Callable[[LinearSystem], Array]) -> PoseGuess:
     """Return the rotations and their rates at the minimum: Gauss–Newton, all poses at once.
 
     means_of: the states (K, n) of a linear system.
@@ -284,10 +279,6 @@ def _robust(system: LinearSystem) -> Array:
     return _likeliest(system.weighted(robust_weights(system)))
 
 
-def _filtered(system: LinearSystem) -> Array:
-    return rts(system, kalman_filter(system)).means
-
-
 def _require_observed(problem: PoseProblem) -> None:
     system = problem.system(problem.first_guess())
     for chain in system.unobserved():
@@ -299,14 +290,15 @@ def _require_observed(problem: PoseProblem) -> None:
         )
 
 
-def _trajectory(measured: Trajectory, problem: PoseProblem, guess: PoseGuess, states: Smoothed) -> Trajectory:
-    means = states.means
+def _trajectory(
+    measured: Trajectory, problem: PoseProblem, guess: PoseGuess, means: Array, covariances: Array
+) -> Trajectory:
     return Trajectory(
         measured.frames,
         problem.stamps,
         rotations=so3.exp(means[:, 3:6]) @ guess.rotations,
         translations=means[:, :3],
-        covariances=states.covariances[:, :6, :6],
+        covariances=covariances[:, :6, :6],
         velocities=means[:, 6:12] if means.shape[1] > 6 else None,
         segments=None if measured.segments is None else np.concatenate([[0], np.cumsum(~problem.linked)]),
     )

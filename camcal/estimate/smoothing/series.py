@@ -45,37 +45,24 @@ class SmootherNoise:
     sigma: float
 
 
-@dataclass(frozen=True)
-class KnownSmootherNoise:
-    """What is known of noise; None: the most likely is wanted."""
-
-    q: float | None
-    sigma: float | None
-
-    def completed(self, guess: SmootherNoise) -> SmootherNoise:
-        """Return the noise with what is not known taken from a guess."""
-        return SmootherNoise(guess.q if self.q is None else self.q, guess.sigma if self.sigma is None else self.sigma)
-
-
 def likeliest_noise(
-    system: LinearSystem, known: KnownSmootherNoise, guess: SmootherNoise, robust: bool = False
+    system: LinearSystem, q: float | None, sigma: float | None, guess: SmootherNoise, robust: bool = False
 ) -> SmootherNoise:
     """Return the noise under which the measurements were most likely.
 
-    system: with process noise of q = 1, and measurement noise of sigma = 1. robust: q is found by Huber's loss first,
-    with the guess of sigma, and then both without the outliers.
+    system: with process noise of q = 1, and measurement noise of sigma = 1. q, sigma: None for what is not known.
+    robust: q is found by Huber's loss first, with the guess of sigma, and then both without the outliers.
     Raises NotConverged if there is no largest likelihood near the guess.
     """
     if not robust:
-        return _search(system, known, guess)
-    sigma = known.completed(guess).sigma
-    found = _search(system, KnownSmootherNoise(known.q, sigma), guess, robust=True)
+        return _search(system, q, sigma, guess)
+    found = _search(system, q, guess.sigma if sigma is None else sigma, guess, robust=True)
     for _ in range(_ROUNDS):
         noisy = with_noise(system, found)
         weights = robust_weights(noisy)
-        states = solve_batch(invertible(noisy.weighted(weights))).smoothed()
-        outliers = is_outlier(disagreement(noisy, weights, states), system.present.sum(axis=1))
-        found = _search(system.without(outliers), known, SmootherNoise(found.q, guess.sigma))
+        means, covariances = solve_batch(invertible(noisy.weighted(weights))).smoothed()
+        outliers = is_outlier(disagreement(noisy, weights, means, covariances), system.present.sum(axis=1))
+        found = _search(system.without(outliers), q, sigma, SmootherNoise(found.q, guess.sigma))
     return found
 
 
@@ -85,10 +72,10 @@ def with_noise(system: LinearSystem, noise: SmootherNoise) -> LinearSystem:
 
 
 def _search(
-    system: LinearSystem, known: KnownSmootherNoise, guess: SmootherNoise, robust: bool = False
+    system: LinearSystem, q: float | None, sigma: float | None, guess: SmootherNoise, robust: bool = False
 ) -> SmootherNoise:
-    guess = known.completed(guess)
-    free = [name for name in ("q", "sigma") if getattr(known, name) is None]
+    guess = SmootherNoise(guess.q if q is None else q, guess.sigma if sigma is None else sigma)
+    free = [name for name, value in (("q", q), ("sigma", sigma)) if value is None]
     if not free:
         return guess
     if len(free) == 2 and not robust:
@@ -273,20 +260,20 @@ def smooth_series(series: Series, options: SeriesOptions = SeriesOptions()) -> S
     _require_observed(series, options.motion)
     noise = _noise(series, options)
     system = with_noise(system_of(series, options.motion), noise)
-    found = smooth_system(system, options.method, options.robust)
+    means, covariances, fit = smooth_system(system, options.method, options.robust)
     shape = (len(series.names), len(series.stamps))
     return SmoothedSeries(
         series=series,
         motion=options.motion,
-        states=_by_axis(found.states.means, shape),
-        covariances=_by_axis(found.states.covariances, shape),
+        states=_by_axis(means, shape),
+        covariances=_by_axis(covariances, shape),
         q=noise.q,
         sigma=noise.sigma if series.sigma is None else None,
-        weights=_by_axis(found.weights, shape),
-        outliers=_by_axis(found.outliers, shape),
-        nis=_by_axis(found.nis, shape),
-        log_likelihood=found.log_likelihood,
-        consistency=found.consistency,
+        weights=_by_axis(fit.weights, shape),
+        outliers=_by_axis(fit.outliers, shape),
+        nis=_by_axis(fit.nis, shape),
+        log_likelihood=fit.log_likelihood,
+        consistency=fit.consistency,
     )
 
 
@@ -341,14 +328,14 @@ def series_at(smoothed: SmoothedSeries, stamps: Array) -> SmoothedSeries:
         None if series.controls is None else spread(series.controls, 0.0),
     )
     system = with_noise(system_of(wider, smoothed.motion), SmootherNoise(smoothed.q, smoothed.sigma or 1.0))
-    found = rts(system, kalman_filter(system))  # by filter: stamps may lie very near each other
+    means, covariances = rts(system, kalman_filter(system))  # by filter: stamps may lie very near each other
     wanted, shape = np.searchsorted(everything, stamps), (len(series.names), len(everything))
     missing = np.full((len(stamps), len(series.names)), np.nan)
     return replace(
         smoothed,
         series=Series(series.names, stamps, missing),
-        states=_by_axis(found.means, shape)[wanted],
-        covariances=_by_axis(found.covariances, shape)[wanted],
+        states=_by_axis(means, shape)[wanted],
+        covariances=_by_axis(covariances, shape)[wanted],
         weights=np.ones_like(missing),
         outliers=np.zeros(missing.shape, bool),
         nis=missing,
@@ -357,15 +344,15 @@ def series_at(smoothed: SmoothedSeries, stamps: Array) -> SmoothedSeries:
 
 def _noise(series: Series, options: SeriesOptions) -> SmootherNoise:
     """Return q and sigma; sigma 1 if the series has its own."""
-    known = KnownSmootherNoise(options.q, None if series.sigma is None else 1.0)
-    if known.q is not None and known.sigma is not None:
-        return SmootherNoise(known.q, known.sigma)
+    if options.q is not None and series.sigma is not None:
+        return SmootherNoise(options.q, 1.0)
     if series.sigma is None:
         guess = measured_noise(series.values, len(options.motion.states) + 1)
     else:
         guess = float(np.median(series.sigma))
     start = SmootherNoise(strength(options.motion, series.stamps, guess), guess)
-    return likeliest_noise(system_of(series, options.motion), known, start, options.robust)
+    sigma = None if series.sigma is None else 1.0
+    return likeliest_noise(system_of(series, options.motion), options.q, sigma, start, options.robust)
 
 
 def _require_observed(series: Series, motion: MotionModel) -> None:

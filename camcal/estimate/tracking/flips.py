@@ -14,7 +14,7 @@ from camcal.arrays import Array
 from camcal.estimate.tracking.frames import frame_minima
 from camcal.estimate.tracking.measurements import ObjectPlane
 from camcal.estimate.tracking.motion import MotionState
-from camcal.estimate.tracking.pixel_batch import Chains, solved, spread_of
+from camcal.estimate.tracking.pixel_batch import Chains, solve, spread_of
 from camcal.estimate.tracking.process_noise import NoiseFit
 from camcal.geometry import rotation as so3
 
@@ -35,87 +35,59 @@ _SIDE = np.radians(20.0)  # turned by more, an object shows another side
 _MAX_ALTERNATIVE = 16.0  # Δ of rivals that are reported: a weight of 3e-4
 
 
-@dataclass(frozen=True, eq=False)
-class AlternativeTrack:
-    """Another course of a track: the frames (K) where it is another pose, and its weight, of 1 for the track's own."""
-
-    frames: Array
-    weight: float
+# Another course of a track: the frames (K) where it is another pose, and its weight, of 1 for the track's own
+Rival = tuple[Array, float]
 
 
-@dataclass(frozen=True, eq=False)
-class Searched:
-    """The best track found, its rivals, and the mask (M) of the frames that were turned over."""
-
-    found: NoiseFit
-    alternatives: tuple[AlternativeTrack, ...]
-    turned: Array
-
-    @property
-    def p_wrong(self) -> Array:
-        """The probability (M) that a rival holds at each frame."""
-        weights = np.zeros(len(self.turned))
-        for alternative in self.alternatives:
-            weights[alternative.frames] += alternative.weight
-        return weights / (1 + weights)
-
-
-def searched(found: NoiseFit, other: NoiseFit | None, flat: ObjectPlane | None) -> Searched:
-    """Return the track with the stretches turned over that are better so.
+def search_alternatives(found: NoiseFit, other: NoiseFit | None, flat: ObjectPlane | None) -> tuple[NoiseFit, Array]:
+    """Return the track with the stretches turned over that are better so, and the probability (M) that a rival holds.
 
     other: a track of the same frames from another start, None if there is none. flat: the object's plane, if it has
     one.
     """
-    if other is None:
-        return _turned_where_better(found, flat)
-    if other.evidence < found.evidence:
+    if other is not None and other.evidence < found.evidence:
         found, other = other, found
-    result = _turned_where_better(found, flat)
-    frames = np.flatnonzero(so3.angle_between(result.found.track.states.rotations, other.track.states.rotations) > FAR)
-    rivals = _rival(result.found, frames, other.evidence - result.found.evidence)
-    return replace(result, alternatives=(*result.alternatives, *rivals))
+    best, rivals = _turn_where_better(found, flat)
+    if other is not None:
+        apart = so3.angle_between(best.track.states.rotations, other.track.states.rotations)
+        rivals += _rival(best, np.flatnonzero(apart > FAR), other.evidence - best.evidence)
+    weights = np.zeros(len(best.track.chains.used))
+    for frames, weight in rivals:
+        weights[frames] += weight
+    return best, weights / (1 + weights)
 
 
-def _rival(found: NoiseFit, frames: Array, difference: float) -> tuple[AlternativeTrack, ...]:
+def _rival(found: NoiseFit, frames: Array, difference: float) -> list[Rival]:
     """Return the course of another pose at some frames, of -2 ln evidence larger by a difference, if it is a rival.
 
     Frames that show the object from one side have one error of the likelihood in common, however many they are. So the
     difference has the variance 4 Δ of noise, and n times as much by n frames of each side that they show it from.
     """
     if not len(frames):
-        return ()
+        return []
     normals = found.track.states.rotations[frames][:, :, 2]
     turned = np.arccos(np.clip(np.sum(normals[1:] * normals[:-1], axis=1), -1.0, 1.0)).sum()
     alike = len(frames) / (1 + turned / _SIDE)
     difference = max(difference, 0.0) / (1 + found.track.chains.frames.repeated * alike)
     if difference > _MAX_ALTERNATIVE:
-        return ()
-    return (AlternativeTrack(frames, float(np.exp(-difference / 2))),)
+        return []
+    return [(frames, float(np.exp(-difference / 2)))]
 
 
-def _turned_where_better(found: NoiseFit, flat: ObjectPlane | None) -> Searched:
-    turned = np.zeros(len(found.track.chains.used), dtype=bool)
-    if flat is None:
-        return Searched(found, (), turned)
-    alternatives: tuple[AlternativeTrack, ...] = ()
+def _turn_where_better(found: NoiseFit, flat: ObjectPlane | None) -> tuple[NoiseFit, list[Rival]]:
     for _ in range(_ROUNDS):
-        trials = _trials(found, flat)
+        trials = None if flat is None else _try_mirrored(found, flat)
         if trials is None:
-            return Searched(found, (), turned)
+            break
         better = trials.accepted()
         if not better:
-            alternatives = trials.alternatives()
-            break
-        states = trials.entered(better)
-        for index in better:
-            turned[trials.apart(index)] ^= True
-        track = solved(found.track.chains, found.track.motion, states)
+            return found, trials.rivals()
+        track = solve(found.track.chains, found.track.motion, trials.entered(better))
         after = replace(found, track=track, spread=spread_of(track))
         if after.evidence > found.evidence:
-            alternatives = trials.alternatives()
-            break
+            return found, trials.rivals()
         found = after
-    return Searched(found, alternatives, turned)
+    return found, []
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,18 +126,18 @@ class _Trials:
                 whole[first:last] = part[self.offsets[index] : self.offsets[index + 1]]
         return MotionState(*parts)
 
-    def alternatives(self) -> tuple[AlternativeTrack, ...]:
+    def rivals(self) -> list[Rival]:
         """Return the trials that are nearly as good, each course once."""
-        result: list[AlternativeTrack] = []
+        result: list[Rival] = []
         for index in map(int, np.argsort(self.differences)):
             frames = self.apart(index)
-            known = any(len(np.setxor1d(frames, one.frames)) <= 0.1 * len(frames) for one in result)
+            known = any(len(np.setxor1d(frames, others)) <= 0.1 * len(frames) for others, _ in result)
             if not known:
                 result.extend(_rival(self.found, frames, float(self.differences[index])))
-        return tuple(result)
+        return result
 
 
-def _trials(found: NoiseFit, flat: ObjectPlane) -> _Trials | None:
+def _try_mirrored(found: NoiseFit, flat: ObjectPlane) -> _Trials | None:
     """Return all mirrored runs to be tried, solved; None if there are none."""
     track = found.track
     chains = track.chains
@@ -178,14 +150,18 @@ def _trials(found: NoiseFit, flat: ObjectPlane) -> _Trials | None:
         return None
     breaks = np.flatnonzero(~chains.linked) + 1
     bounds = np.concatenate([[0], breaks, [len(chains.used)]])
-    windows = np.array([_window(run, bounds) for run in runs])
+    begun, ended = np.array(runs).T
+    low = bounds[np.searchsorted(bounds, begun, side="right") - 1]
+    high = bounds[np.searchsorted(bounds, ended, side="left")]
+    # the frames around a run, within the chains it touches
+    windows = np.stack([np.maximum(low, begun - _AROUND), np.minimum(high, ended + _AROUND)], axis=1)
     rows = np.concatenate([np.arange(first, last) for first, last in windows])
     offsets = np.concatenate([[0], np.cumsum(windows[:, 1] - windows[:, 0])])
-    stacked = _stacked(found, windows, rows)
-    before = solved(stacked, track.motion, track.states.at(rows), 0, track.pulls[rows])
+    stacked = _stack(found, windows, rows)
+    before = solve(stacked, track.motion, track.states.at(rows), 0, track.pulls[rows])
     mirrored = flat.mirrored(track.states.rotations, track.states.translations)
-    states = _turned_over(track.states.at(rows), runs, windows, offsets, mirrored, chains.steps)
-    after = solved(stacked, track.motion, states, _ITERATIONS)
+    states = _turn_over(track.states.at(rows), runs, windows, offsets, mirrored, chains.steps)
+    after = solve(stacked, track.motion, states, _ITERATIONS)
     return _Trials(found, windows, offsets, after.states, after.evidence - before.evidence)
 
 
@@ -228,14 +204,7 @@ def _runs(cuts: Array, worse: Array, count: int) -> list[tuple[int, int]]:
     return kept
 
 
-def _window(run: tuple[int, int], bounds: Array) -> tuple[int, int]:
-    """Return the frames [first, last) that are solved for a run: those around it, within the chains it touches."""
-    low = bounds[np.searchsorted(bounds, run[0], side="right") - 1]
-    high = bounds[np.searchsorted(bounds, run[1], side="left")]
-    return max(int(low), run[0] - _AROUND), min(int(high), run[1] + _AROUND)
-
-
-def _stacked(found: NoiseFit, windows: Array, rows: Array) -> Chains:
+def _stack(found: NoiseFit, windows: Array, rows: Array) -> Chains:
     """Return the chains of windows one after another, their ends held where the track goes on."""
     chains, size = found.track.chains, found.track.motion.size
     numbers = np.repeat(np.arange(len(windows)), windows[:, 1] - windows[:, 0])
@@ -265,7 +234,7 @@ def _stacked(found: NoiseFit, windows: Array, rows: Array) -> Chains:
     )
 
 
-def _turned_over(
+def _turn_over(
     states: MotionState,
     runs: list[tuple[int, int]],
     windows: Array,

@@ -8,7 +8,6 @@ Source: Reid 1979 (multiple hypotheses); Bell, Cathey 1993 (iterated Kalman upda
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -66,22 +65,9 @@ class Hypotheses(NamedTuple):
         )
 
 
-@dataclass(frozen=True)
-class Forward:
-    """What all hypotheses were after each of N frames; None before the first detection."""
-
-    frames: tuple[Hypotheses | None, ...]
-
-    def path(self, frame: int, which: int | None = None) -> list[tuple[int, int]]:
-        """Return the frames and hypotheses that led to one at a frame (None: the best), the earliest first."""
-        hypotheses = self.frames[frame]
-        assert hypotheses is not None
-        index = int(np.argmin(hypotheses.costs)) if which is None else which
-        path = []
-        while frame >= 0 and (hypotheses := self.frames[frame]) is not None:
-            path.append((frame, index))
-            index, frame = int(hypotheses.parents[index]), frame - 1
-        return path[::-1]
+Forward = Sequence[
+    Hypotheses | None
+]  # what all hypotheses were after each of N frames, None before the first detection
 
 
 class WrongFrames(NamedTuple):
@@ -110,7 +96,7 @@ class WrongFrames(NamedTuple):
         return np.asarray(self.costs[frame] + volumes - 2 * np.log(RARE))
 
 
-def followed(
+def follow(
     frames: FrameCosts,
     candidates: Candidates,
     stamps: Array,
@@ -152,7 +138,7 @@ def followed(
         if there:
             seen_at = stamps[index]
         result.append(now)
-    return Forward(tuple(result))
+    return result
 
 
 def _allowed(candidates: Candidates, index: int) -> tuple[Array, Array]:

@@ -127,7 +127,7 @@ def _links(chains: Chains, motion: FreeMotion) -> _Links:
     return _Links(np.where(linked[:, None, None], information, 0.0), np.where(linked, volume, 0.0))
 
 
-def solved(
+def solve(
     chains: Chains,
     motion: FreeMotion,
     start: MotionState,

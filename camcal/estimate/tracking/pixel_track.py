@@ -14,7 +14,7 @@ from camcal.cameras.model import Camera
 from camcal.errors import InsufficientData
 from camcal.estimate.poses.records import Correspondences
 from camcal.estimate.tracking import hypotheses, process_noise
-from camcal.estimate.tracking.flips import FAR, Searched, searched
+from camcal.estimate.tracking.flips import FAR, search_alternatives
 from camcal.estimate.tracking.frames import FrameCosts, PixelFrames
 from camcal.estimate.tracking.hypotheses import BEGUN, MEASURED, Candidates, Forward, Hypotheses
 from camcal.estimate.tracking.measurements import LEAST, ObjectPlane, PoseMeasurements
@@ -106,17 +106,20 @@ def follow_frames(
         (_START_TRANSLATION * distance**2, _START_ROTATION) if noise is None else (noise.translation, noise.rotation)
     )
     tune = noise is None
-    first, _ = run.followed(motion, JitterStd(), tune=tune)
+    first, _ = run.follow(motion, JitterStd(), tune=tune)
     best = process_noise.chosen(first, distance=distance, tune=tune)
     if sigma is not None:
         factor = float(np.clip(process_noise.noise_factor(best.track, best.spread), *_NOISE_RANGE))
         factor = max(factor, _LEAST_NOISE / sigma)
         if abs(factor - 1) > _NOTED:
             run = replace(run, frames=frames.with_noise(factor))
-    second, forward = run.followed(best.track.motion, best.jitter_std, tune=tune)
+    second, forward = run.follow(best.track.motion, best.jitter_std, tune=tune)
     rivalled = _Path.of(forward, len(run.stamps) - 1).rivalled
-    result = searched(second, run.backwards(second, tune=tune) if rivalled else None, flat)
-    return run.whole(forward, result, noise) if lag is None else run.with_lag(forward, second, result, lag, noise)
+    other = run.backwards(second, tune=tune) if rivalled else None
+    found, p_wrong = search_alternatives(second, other, flat)
+    if lag is None:
+        return run.whole(forward, found, p_wrong, noise)
+    return run.with_lag(forward, second, found, lag, noise)
 
 
 def _candidates(measurements: PoseMeasurements) -> Candidates:
@@ -148,7 +151,7 @@ class _Run:
     max_gap: float
     flat: ObjectPlane | None
 
-    def followed(self, motion: FreeMotion, jitter_std: JitterStd, *, tune: bool) -> tuple[NoiseFit, Forward]:
+    def follow(self, motion: FreeMotion, jitter_std: JitterStd, *, tune: bool) -> tuple[NoiseFit, Forward]:
         """Return the track that the best hypothesis leads to, from the first detection on."""
         forward = self.forward(motion, jitter_std)
         chains, states = self._chains(forward, motion)
@@ -156,7 +159,7 @@ class _Run:
 
     def forward(self, motion: FreeMotion, jitter_std: JitterStd) -> Forward:
         """Return the hypotheses after each frame."""
-        return hypotheses.followed(
+        return hypotheses.follow(
             self.frames,
             self.candidates,
             self.stamps,
@@ -214,28 +217,28 @@ class _Run:
         )
         return chains, path.states
 
-    def whole(self, forward: Forward, result: Searched, noise: ProcessNoise | None) -> PixelTrack:
+    def whole(self, forward: Forward, found: NoiseFit, p_wrong: Array, noise: ProcessNoise | None) -> PixelTrack:
         """Return the estimate from all frames together."""
-        found = result.found
         track, chains = found.track, found.track.chains
         path = _Path.of(forward, len(self.stamps) - 1)
         rotations, translations = track.poses
         states = track.states._replace(rotations=rotations, translations=translations)
         right = chains.frames.inlier_probabilities(chains.frames.squares(rotations, translations)).sum(axis=1)
         used = chains.used & (right > _ENOUGH * chains.frames.there.sum(axis=1))
-        parts = (used, states, found.spread.poses, result.p_wrong, np.zeros(len(used), dtype=bool), path.surprises)
+        parts = (used, states, found.spread.poses, p_wrong, np.zeros(len(used), dtype=bool), path.surprises)
         return self._given(found, parts, noise)
 
     def with_lag(
-        self, forward: Forward, found: NoiseFit, whole: Searched, lag: int, noise: ProcessNoise | None
+        self, forward: Forward, found: NoiseFit, whole: NoiseFit, lag: int, noise: ProcessNoise | None
     ) -> PixelTrack:
         """Return the estimate of each frame from the frames up to `lag` later ones."""
         states, covariances, p_wrong = look_ahead(forward, lag, FAR, self.frames.overstated_ahead)
         path = _Path.of(forward, len(self.stamps) - 1)
-        kinds = np.array([_best_kind(forward, frame) for frame in range(path.first, len(self.stamps))])
+        known = forward[path.first :]
+        kinds = np.array([MEASURED if each is None else int(each.kinds[np.argmin(each.costs)]) for each in known])
         shakes = process_noise.covariance_for(found.jitter_std, states.translations)
         used = (kinds == MEASURED) | (kinds == BEGUN)
-        apart = so3.angle_between(states.rotations, whole.found.track.poses[0]) > FAR
+        apart = so3.angle_between(states.rotations, whole.track.poses[0]) > FAR
         parts = (used, states, covariances[:, POSE, POSE] + shakes, p_wrong, apart, path.surprises)
         return self._given(found, parts, noise)
 
@@ -276,11 +279,6 @@ def _padded(part: Array, first: int) -> Array:
     return np.concatenate([np.full((first, *part.shape[1:]), np.nan), part])
 
 
-def _best_kind(forward: Forward, frame: int) -> int:
-    known = forward.frames[frame]
-    return MEASURED if known is None else int(known.kinds[int(np.argmin(known.costs))])
-
-
 @dataclass(frozen=True, eq=False)
 class _Path:
     """The course of the best hypothesis: what was known at M frames, from the first one on, and which led to it."""
@@ -290,9 +288,12 @@ class _Path:
 
     @classmethod
     def of(cls, forward: Forward, last: int) -> "_Path":
-        steps = forward.path(last)
-        at = [(forward.frames[frame], which) for frame, which in steps]
-        return cls(steps[0][0], [(hypotheses, which) for hypotheses, which in at if hypotheses is not None])
+        known: list[tuple[Hypotheses, int]] = []
+        while last >= 0 and (here := forward[last]) is not None:
+            which = int(known[-1][0].parents[known[-1][1]]) if known else int(np.argmin(here.costs))
+            known.append((here, which))
+            last -= 1
+        return cls(last + 1, known[::-1])
 
     @property
     def states(self) -> MotionState:
@@ -346,7 +347,7 @@ def look_ahead(forward: Forward, lag: int, far: float, overstated: float) -> tup
 
     far: angle (rad) from which on a pose is another one. overstated: by how much differences of costs are too large.
     """
-    known = [hypotheses for hypotheses in forward.frames if hypotheses is not None]
+    known = [hypotheses for hypotheses in forward if hypotheses is not None]
     last = len(known) - 1
     frames = np.arange(last + 1)
     newest = np.minimum(frames + lag, last)

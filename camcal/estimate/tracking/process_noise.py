@@ -12,7 +12,7 @@ import numpy as np
 from camcal.arrays import Array, FloatArray
 from camcal.errors import InvalidInput
 from camcal.estimate.tracking.motion import FreeMotion, MotionState, difference
-from camcal.estimate.tracking.pixel_batch import BatchTrack, Chains, Spread, solved, spread_of
+from camcal.estimate.tracking.pixel_batch import BatchTrack, Chains, Spread, solve, spread_of
 from camcal.geometry import rotation as so3
 
 _START = 2e-3  # rad, or share of the distance: initial value
@@ -157,7 +157,7 @@ def fit_noise(
     tune: whether densities may change; what does not shake at the beginning never does.
     """
     chains = _shaken(chains, states, jitter_std)
-    track = solved(chains, motion, states)
+    track = solve(chains, motion, states)
     best = NoiseFit(track, spread_of(track), jitter_std)
     for _ in range(_ROUNDS):
         track, jitter_std = best.track, best.jitter_std
@@ -170,9 +170,9 @@ def fit_noise(
             places = track.states.translations[used]
             jitter_std = jitter_std.likelier(places, track.pulls[used], best.spread.informed[used])
             chains = _shaken(chains, track.states, jitter_std)
-        track = solved(chains, motion, track.states, _STEPS, track.pulls)
+        track = solve(chains, motion, track.states, _STEPS, track.pulls)
         if float(track.evidence.sum()) > best.evidence:  # pixels that fit were given up: the start may lead elsewhere
-            track = solved(chains, motion, states)
+            track = solve(chains, motion, states)
         before, found = best.evidence, NoiseFit(track, spread_of(track), jitter_std)
         best = min(best, found, key=lambda each: each.evidence)
         if best.evidence > before - _SETTLED:

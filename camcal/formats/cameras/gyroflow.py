@@ -24,7 +24,8 @@ LENSES = Lenses("""
     opencv_standard opencv12 fx fy cx cy k1 k2 p1 p2 k3? k4? k5? k6? s1? s2? s3? s4?
     poly3 opencv4 fx fy cx cy k1 =0? =0? =0?
     poly5 opencv4 fx fy cx cy k1 k2 =0? =0?
-    ptlens its_ptlens fx fy cx cy a b c
+    ptlens ptlens fx fy cx cy a=a4 b=a3 c=a2
+    generic_polynomial its_polynomial fx fy cx cy k0 k1 k2 k3 k4 k5
     insta360 insta360 fx fy cx cy k1 k2 p1 p2 xi
     sony sony fx fy cx cy k0 k1 k2 k3 k4 k5
 """)  # fmt: skip

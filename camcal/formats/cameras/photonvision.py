@@ -27,6 +27,8 @@ def read(sources: Sequence[Source], given: Given) -> CameraFile:
         size = resolution.side("width"), resolution.side("height")
     size = given.size(size, values.document.where)
     key = next((key for key in _COEFFICIENTS if key in values), _COEFFICIENTS[0])
+    if values.data.get("isFisheye") is True:
+        raise values.wrong("isFisheye", "a version of 2023 with fisheyes is not read: calibrate again with a later one")
     camera = LENSES.matrix(values, "cameraIntrinsics", key, LENSES.rows, size)
     return CameraFile({CAMERA: CameraEntry(camera)})
 

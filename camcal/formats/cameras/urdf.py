@@ -53,7 +53,7 @@ def write(path: Path, file: CameraFile) -> None:
     lines = ['<?xml version="1.0"?>', '<robot name="rig">', f"  <link name={quoteattr(root)}/>"]
     for name, item in poses.items():
         pose = item.pose
-        angles = rotation.to_euler(pose.rotation, _ABOUT_FIXED_AXES).angles
+        angles = rotation.to_euler(pose.rotation, _ABOUT_FIXED_AXES)[0]
         xyz, rpy = (" ".join(map(exact_text, values.tolist())) for values in (pose.translation, angles))
         lines += [
             f"  <link name={quoteattr(name)}/>",

@@ -7,7 +7,7 @@ and at the bottom to fill them. What goes in and comes out is read from the file
 Source: the protocol buffers of ONNX (onnx.proto: ModelProto, GraphProto, ValueInfoProto) and their wire format.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import import_module
@@ -48,30 +48,20 @@ class Tensor:
         return f"{self.name} {' × '.join('?' if size is None else str(size) for size in self.shape)}"
 
 
-@dataclass(frozen=True)
-class Graph:
-    inputs: tuple[Tensor, ...]
-    outputs: tuple[Tensor, ...]
-
-
-def read_graph(path: Path) -> Graph:
+def read_graph(path: Path) -> tuple[list[Tensor], list[Tensor]]:
     """Return the inputs and outputs of a model; weights, which old models list as inputs, are left out.
 
     Raises FileError if the file is missing, empty or not an ONNX model.
     """
     content = memoryview(read_bytes(path))
     try:
-        return _graph(content)
+        parts = list(_fields(_piece(content, _GRAPH)))
+        weights = {_text(_piece(_message(value), _TENSOR_NAME)) for number, value in parts if number == _INITIALIZER}
+        inputs = [_tensor(_message(value)) for number, value in parts if number == _INPUT]
+        outputs = [_tensor(_message(value)) for number, value in parts if number == _OUTPUT]
     except (IndexError, ValueError) as error:
         raise FileError("not an ONNX model, or truncated", where=str(path)) from error
-
-
-def _graph(content: memoryview) -> Graph:
-    parts = list(_fields(_piece(content, _GRAPH)))
-    weights = {_text(_piece(_message(value), _TENSOR_NAME)) for number, value in parts if number == _INITIALIZER}
-    inputs = (_tensor(_message(value)) for number, value in parts if number == _INPUT)
-    outputs = (_tensor(_message(value)) for number, value in parts if number == _OUTPUT)
-    return Graph(tuple(tensor for tensor in inputs if tensor.name not in weights), tuple(outputs))
+    return [tensor for tensor in inputs if tensor.name not in weights], outputs
 
 
 def _tensor(info: memoryview) -> Tensor:
@@ -139,39 +129,31 @@ def _varint(message: memoryview, at: int) -> tuple[int, int]:
             raise ValueError("a number of more than 64 bits")
 
 
-@dataclass(frozen=True)
-class NetworkInput:
-    """How a network wants its images: what white is (1 or 255), and whether blue comes first."""
-
-    white: float = 255.0
-    blue_first: bool = False
-
-
-def learned_disparity(left: Array, right: Array, model: Path, wants: NetworkInput | None = None) -> Array:
+def learned_disparity(
+    left: Array, right: Array, model: Path, white: float = 255.0, *, blue_first: bool = False
+) -> Array:
     """Return the disparity (H, W), float32 pixels, of a rectified pair by the network of an ONNX file.
 
     left, right: (H, W) gray, (H, W, 3) blue, green, red or (H, W, 4) with alpha; uint8, uint16 or float32 0 … 1.
-    wants: white 255 and red first, if not given.
+    white: what the network takes for white, 1 or 255. blue_first: whether it takes blue before red.
     Raises FileError for a file that is missing or not an ONNX model, InvalidInput for images of two sizes and for a
     model that breaks the contract above or cannot be run.
     """
     if left.shape[:2] != right.shape[:2]:
         raise InvalidInput(f"the left image is {_size(left.shape)}, the right one {_size(right.shape)}")
-    graph = read_graph(model)
-    _require_pair(graph, model)
-    shape = _padded_shape(left.shape, graph.inputs[0], model)
-    wants = wants or NetworkInput()
+    inputs, outputs = read_graph(model)
+    _require_pair(inputs, outputs, model)
+    shape = _padded_shape(left.shape, inputs[0], model)
     feeds = {
-        tensor.name: _blob(image, shape, tensor.shape[1] == 1, wants)
-        for tensor, image in zip(graph.inputs, (left, right), strict=True)
+        tensor.name: _blob(image, shape, tensor.shape[1] == 1, white, blue_first)
+        for tensor, image in zip(inputs, (left, right), strict=True)
     }
     run = _by_onnxruntime if find_spec(_RUNTIME) else _by_opencv
     return _disparity(run(model, feeds), shape, model)[: left.shape[0], : left.shape[1]]
 
 
-def _require_pair(graph: Graph, model: Path) -> None:
+def _require_pair(inputs: Sequence[Tensor], outputs: Sequence[Tensor], model: Path) -> None:
     """Raise InvalidInput unless two images go in, of the same shape, and one map comes out."""
-    inputs, outputs = graph.inputs, graph.outputs
     if len(inputs) != 2 or len(outputs) != 1:
         found = f"{', '.join(map(str, inputs)) or 'nothing'} to {', '.join(map(str, outputs)) or 'nothing'}"
         raise InvalidInput(f"the model must turn two images into one disparity map, found {found}", where=str(model))
@@ -198,14 +180,14 @@ def _padded_shape(shape: tuple[int, ...], tensor: Tensor, model: Path) -> tuple[
     return rows, columns
 
 
-def _blob(image: Array, shape: tuple[int, int], gray: bool, wants: NetworkInput) -> Array:
+def _blob(image: Array, shape: tuple[int, int], gray: bool, white: float, blue_first: bool) -> Array:
     """Return an image as (1, C, rows, columns) float32, its edges repeated to the right and below."""
-    light: Array = image.astype(np.float32) * np.float32(wants.white / full_scale(image.dtype))
+    light: Array = image.astype(np.float32) * np.float32(white / full_scale(image.dtype))
     if light.ndim == 3 and gray:
         light = np.asarray(cv2.cvtColor(np.ascontiguousarray(light[..., :3]), cv2.COLOR_BGR2GRAY))
     if light.ndim == 2:
         light = np.repeat(light[..., None], 1 if gray else 3, axis=2)
-    ordered = light[..., :3] if wants.blue_first else light[..., 2::-1]
+    ordered = light[..., :3] if blue_first else light[..., 2::-1]
     below, beside = shape[0] - image.shape[0], shape[1] - image.shape[1]
     padded = np.pad(ordered, ((0, below), (0, beside), (0, 0)), mode="edge")
     return np.ascontiguousarray(padded.transpose(2, 0, 1)[None])

@@ -171,6 +171,7 @@ def residual_of(matches: Matches) -> Residual:
     disparity = matches.left[:, 0] - matches.right[:, 0]
     values, covariance = _solve(plane, dy, weights)
     deviations = np.sqrt(np.diag(covariance))
+    slopes = values[1:] / np.maximum(np.subtract(matches.size, 1), 1)  # by pixels, where places are -1/2 to 1/2
     off = dy[kept]
     return Residual(
         matches.size,
@@ -186,7 +187,7 @@ def residual_of(matches: Matches) -> Residual:
         scatter=_NORMAL * float(np.median(np.abs(off - plane[kept] @ values))),
         trend=Trend(*(Measured(*map(float, pair)) for pair in zip(values, deviations, strict=True))),
         convergence=_convergence(plane, disparity, dy, weights),
-        rows=_in_pixels(values, matches.size),
+        rows=np.array([*slopes, values[0] - values[1:].sum() / 2]),
     )
 
 
@@ -229,12 +230,6 @@ def _why_so_few(matches: Matches) -> str:
 def _normalise(pixels: Array, size: tuple[int, int]) -> Array:
     """Return pixels (N, 2) as places from -1/2 to 1/2 across the image."""
     return np.asarray(pixels / np.maximum(np.subtract(size, 1), 1) - 0.5)
-
-
-def _in_pixels(values: Array, size: tuple[int, int]) -> Array:
-    """Return the map over pixels of a plane over places from -1/2 to 1/2."""
-    slopes = values[1:] / np.maximum(np.subtract(size, 1), 1)
-    return np.array([*slopes, values[0] - values[1:].sum() / 2])
 
 
 def _agreement(plane: Array, dy: Array, near: float) -> Array:

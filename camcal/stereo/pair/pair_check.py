@@ -161,7 +161,10 @@ def exposure_of(left: Array, right: Array, pixels: Array, partners: Array) -> Ex
     best = int(np.argmin(scatters))
     gain, offset, gamma, scatter = (float(each[best]) for each in (gains, offsets, _GAMMAS, scatters))
     first, second = first[kept[best]], second[kept[best]]
-    exposure = Exposure(_brightness(first, second), gain, offset, gamma, scatter, apart=0.0, moved=0.0)
+    ratio = float(second.mean() / first.mean())
+    std = float(np.std(second - ratio * first) / (np.sqrt(len(first)) * first.mean()))
+    brightness = Measured(ratio - 1, std)  # how much more light there is in the right image
+    exposure = Exposure(brightness, gain, offset, gamma, scatter, apart=0.0, moved=0.0)
     apart = _NORMAL * float(np.median(np.abs(second - first)))
     return replace(exposure, apart=apart, moved=float(np.sqrt(np.mean((exposure.curve(first) - first) ** 2))))
 
@@ -191,10 +194,3 @@ def _fits(first: Array, second: Array) -> tuple[Array, Array, Array, Array]:
         scatter = np.maximum(_NORMAL * np.median(off, axis=1, keepdims=True), _LEAST_SCATTER)
         weights = np.maximum(1 - (off / (_BREAK * scatter)) ** 2, 0) ** 2
     return gain[:, 0], offset[:, 0], scatter[:, 0], weights > 0
-
-
-def _brightness(first: Array, second: Array) -> Measured:
-    """Return the ratio of the light in both, less 1."""
-    ratio = float(second.mean() / first.mean())
-    std = float(np.std(second - ratio * first) / (np.sqrt(len(first)) * first.mean()))
-    return Measured(ratio - 1, std)

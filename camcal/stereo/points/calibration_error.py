@@ -98,16 +98,10 @@ def calibration_error(pair: CalibratedPair, geometry: StereoGeometry, size: tupl
     if not known.any():
         raise InvalidInput("the covariance of the calibration determines no depth of the pair")
     powers = (parallaxes / slopes).T[:, :, None] ** np.arange(3)
-    nearest = _nearest_known(np.column_stack([u, v]), known)
+    places, where = np.column_stack([u, v]), np.flatnonzero(known)
+    nearest = where[np.argmin(np.linalg.norm(places[:, None] - places[None, where], axis=2), axis=1)]
     variance = np.linalg.solve(powers[nearest], found.T[nearest, :, None])[..., 0]
     return CalibrationError(columns, rows, np.asarray(variance.T.reshape(3, _ROWS, _COLUMNS), np.float64))
-
-
-def _nearest_known(places: Array, known: Array) -> Array:
-    """Return for each of places (N, 2) the index of the nearest one that is known (N,): itself where it is."""
-    where = np.flatnonzero(known)
-    distance = np.linalg.norm(places[:, None] - places[None, where], axis=2)
-    return np.asarray(where[np.argmin(distance, axis=1)])
 
 
 def _variance(pair: CalibratedPair, geometry: StereoGeometry, rays: Array, parallax: float) -> Array:

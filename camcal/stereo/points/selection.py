@@ -90,10 +90,12 @@ def select(image: StereoImage, selection: Selection, frame: Frame, each: Each = 
             wide, within = widened(rows, REACH, image.shape[0])
             chosen &= has_similar_neighbours(image.shifted(wide), within)
             alone[rows.start] = matched[rows.start] - np.count_nonzero(chosen)
-        _apply_range(image, selection, rows, chosen)
-        _apply_pictures(image, selection, rows, chosen)
-        if places is not None:
-            _apply_crop(places, selection, rows, image.depth(rows), chosen)
+        _apply_limits(image, selection, rows, chosen)
+        if places is not None and selection.crop is not None:
+            depth = image.depth(rows)
+            for axis, (lowest, highest) in enumerate(selection.crop):
+                coordinate = places.coordinate(axis, rows, depth)
+                chosen &= (coordinate >= lowest) & (coordinate <= highest)
         kept[rows] = chosen
 
     each(choose, row_blocks(image.shape, _BLOCK))
@@ -106,29 +108,18 @@ def select(image: StereoImage, selection: Selection, frame: Frame, each: Each = 
     return Selected(kept, int(matched.sum()), int(alone.sum()))
 
 
-def _apply_range(image: StereoImage, selection: Selection, rows: slice, chosen: Array) -> None:
-    """Leave out of the chosen pixels (N, W) of some rows those too near or too far."""
+def _apply_limits(image: StereoImage, selection: Selection, rows: slice, chosen: Array) -> None:
+    """Leave out of the chosen pixels (N, W) of some rows what depth, mask, confidence and sigma speak against."""
     nearest, farthest = selection.depth
     if nearest > 0 or farthest < np.inf:
         depth = image.depth(rows)
         chosen &= (depth >= np.float32(nearest)) & (depth <= np.float32(farthest))
-
-
-def _apply_pictures(image: StereoImage, selection: Selection, rows: slice, chosen: Array) -> None:
-    """Leave out of the chosen pixels (N, W) of some rows what mask, confidence and sigma speak against."""
     if selection.mask is not None:
         chosen &= selection.mask[rows]
     if selection.min_confidence is not None and image.confidence is not None:
         chosen &= image.confidence[rows] >= selection.min_confidence
     if selection.max_sigma is not None:
         chosen &= image.relative_sigma(rows) <= np.float32(selection.max_sigma)
-
-
-def _apply_crop(places: BackProjection, selection: Selection, rows: slice, depth: Array, chosen: Array) -> None:
-    crop = np.asarray(selection.crop)
-    for axis in range(3):
-        coordinate = places.coordinate(axis, rows, depth)
-        chosen &= (coordinate >= crop[axis, 0]) & (coordinate <= crop[axis, 1])
 
 
 def _remove_lonely(image: StereoImage, radius: float | None, kept: Array) -> int:

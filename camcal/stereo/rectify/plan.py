@@ -204,7 +204,11 @@ def _frame(
     forward = rotations[first][:, 2] + rotations[second][:, 2]
     across = forward - (forward @ axis) * axis
     length = float(np.linalg.norm(across))
-    z = across / length if length > 1e-6 else _perpendicular(axis, along)
+    if length > 1e-6:
+        z = across / length
+    else:  # cameras that look straight along the baseline
+        z = np.cross(axis, np.eye(3)[1 - along])
+        z /= np.linalg.norm(z)
     axes = (axis, np.cross(z, axis), z) if along == 0 else (np.cross(axis, z), axis, z)
     rect_R_first = np.array(axes)
     order = (second, first) if swapped else (first, second)
@@ -234,12 +238,6 @@ def _quarters(cameras: Mapping[str, Camera], right_T_left: Pose) -> tuple[int, i
     left = np.array([np.arctan2(each[1], each[0]) - np.arange(4) * np.pi / 2 for each in seen])
     own, other = np.abs(np.arctan2(np.sin(left), np.cos(left)))
     return int(np.argmin(np.round(own + other / 2, 9))), int(np.argmin(np.round(own, 9)))
-
-
-def _perpendicular(axis: Array, along: int) -> Array:
-    """Return a unit vector (3,) across an axis, for cameras that look straight along it."""
-    across = np.cross(axis, np.eye(3)[1 - along])
-    return np.asarray(across / np.linalg.norm(across))
 
 
 def _require_common(field: CommonField, frame: _Frame) -> None:

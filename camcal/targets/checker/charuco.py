@@ -69,13 +69,18 @@ class MarkerReadings:
     """The M markers read in the bright squares of a pattern.
 
     square: (M, 2) row and column of the corner after each. marker: (M,) numbers among the board's, from 0. turn: (M,)
-    quarter turns, see Seat. mirrored: how many can be read only from behind.
+    quarter turns, see BoardPlacement. mirrored: how many can be read only from behind.
     """
 
     square: Array
     marker: Array
     turn: Array
     mirrored: int
+
+    @property
+    def count(self) -> int:
+        """How many markers were read, or seen from behind if those are more."""
+        return max(len(self.marker), self.mirrored)
 
 
 def read_markers(gray: Array, checker: Checker, board: Board) -> MarkerReadings:
@@ -255,20 +260,17 @@ def _find(gray: Array, board: Board) -> tuple[BoardDetection, list[Checker]]:
     for copy in proposals(gray):
         checkers = [trimmed(verified_corners(gray, start, clearance(board))) for start in copy]
         readings = [read_markers(gray, checker, board) for checker in checkers]
-        parts = [
-            _Part(checker, reading, board_placement(reading, board, legacies))
-            for checker, reading in zip(checkers, readings, strict=True)
-        ]
-        grid = _join(parts, board)
-        bare += [part.checker for part in parts if not part.markers]
+        patterns = list(zip(checkers, readings, strict=True))
+        grid = _join([(board_placement(reading, board, legacies), checker) for checker, reading in patterns], board)
+        bare += [checker for checker, reading in patterns if not reading.count]
         if grid is None:
-            closest = max(parts, key=lambda part: (part.markers, part.corners), default=None)
-            if closest is None or best.found:
+            if not patterns or best.found:
                 continue
-            if closest.markers > max(most, LEAST_VOTES - 1):
-                best, most = _explain_misfit(closest), closest.markers
-            elif not most and closest.corners > len(best.refused):
-                best = BoardDetection.nothing(str(best.reason), refused=closest.checker.grid)
+            checker, reading = max(patterns, key=lambda pattern: (pattern[1].count, pattern[0].found.sum()))
+            if reading.count > max(most, LEAST_VOTES - 1):
+                best, most = _explain_misfit(reading, checker), reading.count
+            elif not most and checker.found.sum() > len(best.refused):
+                best = BoardDetection.nothing(str(best.reason), refused=checker.grid)
             continue
         checker = with_hidden_corners(gray, verified_corners(gray, grid, clearance(board)), clearance(board))
         seen = BoardDetection.of(clear_corners(gray, checker, clearance(board)))
@@ -278,41 +280,20 @@ def _find(gray: Array, board: Board) -> tuple[BoardDetection, list[Checker]]:
     return best, bare
 
 
-@dataclass(frozen=True, eq=False)
-class _Part:
-    """A checker pattern, the markers read in it, and where it sits on the board as far as they say."""
-
-    checker: Checker
-    reading: MarkerReadings
-    board_placement: BoardPlacement | None
-
-    @property
-    def corners(self) -> int:
-        """How many corners the pattern has."""
-        return int(self.checker.found.sum())
-
-    @property
-    def markers(self) -> int:
-        """How many markers were read, or seen from behind if those are more."""
-        return max(len(self.reading.marker), self.reading.mirrored)
-
-
-def _join(parts: list[_Part], board: Board) -> Array | None:
+def _join(parts: list[tuple[BoardPlacement | None, Checker]], board: Board) -> Array | None:
     """Return the corners (rows, columns, 2) of all parts of a board that belong together, those of most markers first.
 
-    None if no part says where it is.
+    parts: patterns, and where they sit on the board as far as their markers say. None if no part says where it is.
     """
-    seated = sorted(
-        ((part.board_placement, part) for part in parts if part.board_placement), key=lambda pair: -pair[0].votes
-    )
+    placed = sorted(((place, checker) for place, checker in parts if place), key=lambda part: -part[0].votes)
     grid = None
-    for place, part in seated:
-        corners = place.on_board(part.checker.grid, board)
-        if not _inside(corners, part.checker):
+    for place, checker in placed:
+        corners = place.on_board(checker.grid, board)
+        if not _inside(corners, checker):
             continue
         if grid is None:
             grid = corners
-        elif place.legacy == seated[0][0].legacy:
+        elif place.legacy == placed[0][0].legacy:
             grid = np.where(np.isnan(grid), corners, grid)
     return grid
 
@@ -322,15 +303,15 @@ def _inside(corners: Array, checker: Checker) -> bool:
     return bool((~np.isnan(corners[..., 0])).sum() >= INSIDE * checker.found.sum())
 
 
-def _explain_misfit(part: _Part) -> BoardDetection:
+def _explain_misfit(reading: MarkerReadings, checker: Checker) -> BoardDetection:
     """Return why a pattern with markers is not the board."""
-    count, mirrored = len(part.reading.marker), part.reading.mirrored
+    count, mirrored = len(reading.marker), reading.mirrored
     reason = (
         "the image is mirrored: flip it"
         if mirrored > count
         else f"{count} markers in other positions than on this board"
     )
-    return BoardDetection.nothing(reason, refused=part.checker.grid)
+    return BoardDetection.nothing(reason, refused=checker.grid)
 
 
 def clearance(board: Board) -> float:

@@ -150,10 +150,10 @@ def _find_hints(gray: Array, places: Array, where: Array, checker: Checker) -> A
     """Return where (rows, columns), by contrast, there may be one more corner just at its place beyond a pattern."""
     where = where & ~np.isnan(places[..., 0])
     row, column = np.nonzero(where)
-    saddles = measure_saddles_at(gray, places[where], grids.steps(places)[where], CLEARANCE)
-    contrast = saddles.contrast * np.where((row + column) % 2, -1, 1)
+    _, contrast, agreement = measure_saddles_at(gray, places[where], grids.steps(places)[where], CLEARANCE)
+    contrast = contrast * np.where((row + column) % 2, -1, 1)
     result = np.zeros(where.shape, dtype=bool)
-    result[where] = (checker.sign * contrast > HINT * checker.contrast) & (saddles.agreement > HINT)
+    result[where] = (checker.sign * contrast > HINT * checker.contrast) & (agreement > HINT)
     return result
 
 
@@ -189,9 +189,9 @@ def clear_corners(gray: Array, checker: Checker, clearance: float = CLEARANCE) -
     """
     found, grid = checker.found, checker.grid.copy()
     if found.any():
-        saddles = measure_saddles_at(gray, grid[found], grids.steps(grid)[found], clearance)
-        unlike = 1 - saddles.agreement
-        clear = (saddles.agreement > AGREEMENT) & (unlike < DISTURBED + TIMES_USUAL * np.median(unlike))
+        _, _, agreement = measure_saddles_at(gray, grid[found], grids.steps(grid)[found], clearance)
+        unlike = 1 - agreement
+        clear = (agreement > AGREEMENT) & (unlike < DISTURBED + TIMES_USUAL * np.median(unlike))
         grid[found] = np.where(clear[:, None], grid[found], np.nan)
     return grid
 
@@ -203,12 +203,11 @@ def _measure_nodes(gray: Array, grid: Array, where: Array, clearance: float, *, 
     if not where.any():
         return result
     steps = grids.steps(grid)[where]
-    saddles = measure_saddles(gray, grid[where], steps, clearance, far=far)
+    pixels, contrast, agreement = measure_saddles(gray, grid[where], steps, clearance, far=far)
     row, column = np.nonzero(where)
-    result.grid[where] = saddles.pixels
-    result.contrast[where] = saddles.contrast * np.where((row + column) % 2, -1, 1)
-    result.agreement[where] = saddles.agreement
-    result.moved[where] = np.linalg.norm(saddles.pixels - grid[where], axis=1) / np.maximum(grids.spacing(steps), 1e-9)
+    result.grid[where], result.agreement[where] = pixels, agreement
+    result.contrast[where] = contrast * np.where((row + column) % 2, -1, 1)
+    result.moved[where] = np.linalg.norm(pixels - grid[where], axis=1) / np.maximum(grids.spacing(steps), 1e-9)
     return result
 
 
@@ -224,19 +223,6 @@ SAMPLES = 5  # on each side of the corner
 SAMPLES_BESIDE = 3  # on each side of an edge
 ROUNDS = 2
 LARGEST_STEP = 0.5  # of the reach in a round
-
-
-@dataclass(frozen=True, eq=False)
-class SaddleMeasurements:
-    """What is seen at N places.
-
-    pixels: (N, 2). contrast: (N,) gray levels, half of bright minus dark, positive where the square before both steps
-    is dark. agreement: (N,) share of the variance about a plane that the picture of a corner explains.
-    """
-
-    pixels: Array
-    contrast: Array
-    agreement: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -256,9 +242,11 @@ class _Stencil:
 
 def measure_saddles(
     gray: Array, pixels: Array, steps: Array, clearance: float = np.inf, *, far: bool = False
-) -> SaddleMeasurements:
-    """Return the corners that are seen near pixels (N, 2) of `gray`, (H, W) uint8.
+) -> tuple[Array, Array, Array]:
+    """Return the corners (N, 2) px that are seen near pixels (N, 2) of `gray`, (H, W) uint8, contrast and agreement.
 
+    contrast: (N,) gray levels, half of bright minus dark, positive where the square before both steps is dark.
+    agreement: (N,) share of the variance about a plane that the picture of a corner explains.
     steps: (N, 2, 2), columns are the vectors to the next corner along the row and down the column. clearance: how far
     from the nearer edge, in steps, samples may lie. far: the corner may be half a step away.
     """
@@ -267,7 +255,9 @@ def measure_saddles(
     return measure_saddles_at(gray, pixels, steps, clearance)
 
 
-def measure_saddles_at(gray: Array, pixels: Array, steps: Array, clearance: float = np.inf) -> SaddleMeasurements:
+def measure_saddles_at(
+    gray: Array, pixels: Array, steps: Array, clearance: float = np.inf
+) -> tuple[Array, Array, Array]:
     """Return what is seen of corners just at pixels (N, 2), see `measure_saddles`."""
     stencil, frames = _stencil_for(steps, clearance, VERDICT)
     values = _values(gray, pixels, stencil, frames) @ stencil.plane
@@ -278,7 +268,7 @@ def measure_saddles_at(gray: Array, pixels: Array, steps: Array, clearance: floa
     inside = ((pixels > -0.5) & (pixels < np.array(gray.shape[::-1]) - 0.5)).all(axis=1)
     rounding = values.shape[1] / 12  # gray levels squared
     agreement = np.where(inside, score**2 / (total + rounding), 0.0)
-    return SaddleMeasurements(pixels, -score * stencil.peak[best], agreement)
+    return pixels, -score * stencil.peak[best], agreement
 
 
 def _refine(gray: Array, pixels: Array, steps: Array, clearance: float, limit: tuple[float, float]) -> Array:

@@ -117,49 +117,32 @@ def blur_of(values: Array, pixels: Array) -> float:
 _HALF = 0.5  # of a step on either side of a corner, whose edges are seen as far as that
 
 
-@dataclass(frozen=True, eq=False)
-class BoardEdges:
-    """The two edges at each of a board's C points, along x and along y of the board.
+def board_edges(board: Board, first: int | None = None) -> tuple[float, Array, Array]:
+    """Return the length of the steps in which edges count, in the board's unit, and reach and depth, see Cells.
 
-    length: in the board's unit, of the steps in which reach (C, 2, 2) and depth (C, 2, 2) count, see Cells.
+    Both (C, 2, 2) are of the two edges at each of the board's C points, along x and along y of the board. first: 1 if
+    the square before the first corner is dark, -1 if it is bright, None for as drawn.
+    Raises InvalidInput for a board of circles.
     """
-
-    length: float
-    reach: Array
-    depth: Array
-
-    def __post_init__(self) -> None:
-        for name in ("reach", "depth"):
-            object.__setattr__(self, name, readonly(getattr(self, name), (len(self.reach), 2, 2), name))
-
-    @classmethod
-    def of(cls, board: Board, first: int | None = None) -> "BoardEdges":
-        """Return the edges of a board; first: see `first_sign`, None for as drawn.
-
-        Raises InvalidInput for a board of circles.
-        """
-        if board.type == APRILGRID:
-            return _of_tags(board)
-        if not board.has_saddle_corners:
-            raise InvalidInput(f"a {board.words} has no checkerboard corners")
-        sign = first_sign(board) if first is None else first
-        depth = bright_depths((board.rows, board.columns), sign, margin(board))
-        for row, column in dotted_squares(board.columns, board.rows) if board.dots else ():
-            for after_row, after_column in product((0, 1), repeat=2):
-                depth[row - after_row, column - after_column, after_column, after_row] = 1 / 2 - DOT
-        return cls(board.spacing, np.ones((board.count, 2, 2)), depth.reshape(-1, 2, 2))
+    if board.type == APRILGRID:
+        return _tag_edges(board)
+    if not board.has_saddle_corners:
+        raise InvalidInput(f"a {board.words} has no checkerboard corners")
+    if first is None:  # a ChArUco board that does not say is of the current kind
+        first = -1 if board.legacy and (board.rows + 1) % 2 == 0 else 1
+    row, column = np.indices((board.rows, board.columns))
+    dark_before = np.where((row + column) % 2, -first, first) > 0
+    same = np.eye(2, dtype=bool)  # before both edges, or after both: only bright squares have something printed in them
+    depth = np.where(same == dark_before[..., None, None], 1.0, margin(board))
+    for down, right in dotted_squares(board.columns, board.rows) if board.dots else ():
+        for after_row, after_column in product((0, 1), repeat=2):
+            depth[down - after_row, right - after_column, after_column, after_row] = 1 / 2 - DOT
+    return board.spacing, np.ones((board.count, 2, 2)), depth.reshape(-1, 2, 2)
 
 
 def margin(board: Board) -> float:
     """Return how far from its edges a bright square shows nothing, in squares: 1 unless a ChArUco marker is in it."""
     return 1.0 if board.marker is None or not board.checker else (1 - board.marker / board.spacing) / 2
-
-
-def first_sign(board: Board) -> int:
-    """Return 1 if the square before a board's first corner is dark, -1 if it is bright as on a legacy ChArUco board of
-    an even number of rows of squares; a board that does not say is of the current kind.
-    """
-    return -1 if board.legacy and (board.rows + 1) % 2 == 0 else 1
 
 
 def signs(board: Board) -> Array:
@@ -172,25 +155,13 @@ def signs(board: Board) -> Array:
     return np.where((row + column) % 2, -1.0, 1.0)
 
 
-def bright_depths(shape: tuple[int, int], sign: int, margin: float) -> Array:
-    """Return the depths (rows, columns, 2, 2) of a checker pattern with something printed within its bright squares.
-
-    shape: rows and columns of corners. sign: 1 if the square before the first corner is dark, else -1. margin: from the
-    edge of a bright square to the print, in squares.
-    """
-    row, column = np.indices(shape)
-    dark_before = np.where((row + column) % 2, -sign, sign) > 0
-    same = np.eye(2, dtype=bool)  # before both edges, or after both
-    return np.where(same == dark_before[..., None, None], 1.0, margin)
-
-
-def _of_tags(board: Board) -> BoardEdges:
+def _tag_edges(board: Board) -> tuple[float, Array, Array]:
     side = float(board.marker or 0.0)
     gap = (board.spacing - side) / side
     after = np.tile(np.array([(1, 1), (0, 1), (0, 0), (1, 0)]), (board.columns * board.rows, 1))  # where the tag lies
     reach, in_tag = tag_reach(after, gap)
     cells = family_named(str(board.dictionary)).bits + 2 * TAG_BORDER
-    return BoardEdges(side, reach, np.where(in_tag, TAG_BORDER / cells, gap))
+    return side, reach, np.where(in_tag, TAG_BORDER / cells, gap)
 
 
 def tag_reach(after: Array, gap: float) -> tuple[Array, Array]:
@@ -214,13 +185,13 @@ def seen_cells(
 
     points: (N, 3) where they are on the board as it is, in its unit. project: takes points (N, 3) of the board to
     pixels (N, 2), NaN where the camera does not see them. Pixels and cells are NaN there. blur_px: of the edges; the
-    next ones are searched for only where it may bring them into the picture. first: see BoardEdges.of.
+    next ones are searched for only where it may bring them into the picture. first: see `board_edges`.
     """
-    edges = BoardEdges.of(board, first)
+    length, reach, depth = board_edges(board, first)
 
     def see(steps: Sequence[tuple[float, float]]) -> Array:
         """Return the pixels (S, N, 2) of what is S steps along x and y from the points."""
-        shifts = edges.length * np.column_stack([np.array(steps), np.zeros(len(steps))])
+        shifts = length * np.column_stack([np.array(steps), np.zeros(len(steps))])
         places = points + shifts[:, None]
         return project(places.reshape(-1, 3)).reshape(len(steps), -1, 2)
 
@@ -231,7 +202,7 @@ def seen_cells(
         step, second = after - before, (after - 2 * middle + before) / _HALF**2
         steps[:, :, edge] = step
         bends[:, edge] = (step[:, 0] * second[:, 1] - step[:, 1] * second[:, 0]) / np.linalg.norm(step, axis=1) ** 3
-    cells = Cells(steps, bends, edges.reach[ids], edges.depth[ids])
+    cells = Cells(steps, bends, reach[ids], depth[ids])
     if board.checker and cells.narrowest() < CROWDED * blur_px:
         cells = replace(cells, beside=_seen_beside(board, ids, middle, see))
     return middle, cells

@@ -36,23 +36,16 @@ from camcal.targets.corners.cells import LONGEST_PX, Beside, Cells, CellWindow, 
 _SIGNS = np.array([-1.0, 1.0, -1.0], np.float32)  # of the edge before, the edge itself, the edge after
 
 
-@dataclass(frozen=True, eq=False)
-class CheckerPicture:
-    """The picture (N, K), its derivatives by the scaled distances from both edges, and by the logarithms of both blurs
-    with a minus sign: the sums of z ∂/∂z over an edge and its neighbours.
-    """
-
-    value: Array
-    by_first: Array
-    by_second: Array
-    by_blur_1: Array
-    by_blur_2: Array
+CheckerPicture = tuple[Array, tuple[Array, Array], tuple[Array, Array]]
+"""The picture (N, K), its derivatives by the scaled distances from both edges, and by the logarithms of both blurs with
+a minus sign: the sums of z ∂/∂z over an edge and its neighbours.
+"""
 
 
 def alone(first: Array, second: Array, correlation: Array) -> CheckerPicture:
     """Return the picture of two edges at scaled distances (N, K) without neighbours; correlation: see `crossing`."""
-    seen = crossing(first, second, correlation)
-    return CheckerPicture(seen.value, seen.by_first, seen.by_second, first * seen.by_first, second * seen.by_second)
+    value, by_first, by_second = crossing(first, second, correlation)
+    return value, (by_first, by_second), (first * by_first, second * by_second)
 
 
 def crowded(first: Array, second: Array, correlation: Array, border: Array, bright: Array) -> CheckerPicture:
@@ -69,17 +62,20 @@ def crowded(first: Array, second: Array, correlation: Array, border: Array, brig
     for i in range(3):
         for j in range(3):
             share = both[:, i, j, None]
-            value += share * seen[i][j].value
-            slopes[0][i] += share * seen[i][j].by_first
-            slopes[1][j] += share * seen[i][j].by_second
+            crossed, by_first, by_second = seen[i][j]
+            value += share * crossed
+            slopes[0][i] += share * by_first
+            slopes[1][j] += share * by_second
     for family, places in enumerate((first, second)):
         for i, distance in enumerate(places):
             side, density = edge(distance)
             share = single[:, family, i, None]
             value += share * side
             slopes[family][i] += share * (2 * density)
-    by_blur = [(places * np.stack(slopes[family])).sum(axis=0) for family, places in enumerate((first, second))]
-    return CheckerPicture(value, slopes[0][1], slopes[1][1], *by_blur)
+    by_blur_1, by_blur_2 = (
+        (places * np.stack(slopes[family])).sum(axis=0) for family, places in enumerate((first, second))
+    )
+    return value, (slopes[0][1], slopes[1][1]), (by_blur_1, by_blur_2)
 
 
 def _weights(border: Array, bright: Array) -> tuple[Array, Array, Array]:
@@ -110,15 +106,6 @@ _FAR = np.float32(20.0)
 _STRAIGHT = 0.02  # |ρ| below which edges cross at right angles as far as can be seen
 
 
-@dataclass(frozen=True, eq=False)
-class Crossing:
-    """The picture (N, K) between -1 and 1, and its derivatives (N, K) by both scaled distances z₁ and z₂."""
-
-    value: Array
-    by_first: Array
-    by_second: Array
-
-
 def edge(distance: Array) -> tuple[Array, Array]:
     """Return the picture erf(z / √2) of one edge at scaled distances z, and the normal density at z.
 
@@ -141,16 +128,16 @@ def edge(distance: Array) -> tuple[Array, Array]:
     return np.copysign(series, distance), fall
 
 
-def crossing(first: Array, second: Array, correlation: Array) -> Crossing:
-    """Return the picture at scaled distances z₁, z₂ (N, K) from the edges of N corners.
+def crossing(first: Array, second: Array, correlation: Array) -> tuple[Array, Array, Array]:
+    """Return the picture at scaled distances z₁, z₂ (N, K) from the edges of N corners, and its derivatives by both.
 
-    correlation: (N, 1) cosine of the angle between the normals of the two edges.
+    The picture lies between -1 and 1. correlation: (N, 1) cosine of the angle between the normals of the two edges.
     """
     (side_1, density_1), (side_2, density_2) = edge(first), edge(second)
     value = side_1 * side_2
     by_first, by_second = 2 * density_1 * side_2, 2 * density_2 * side_1
     if np.abs(correlation).max() < _STRAIGHT:
-        return Crossing(value, by_first, by_second)
+        return value, by_first, by_second
     both = density_1 * density_2
     first, second = np.clip(first, -_FAR, _FAR), np.clip(second, -_FAR, _FAR)  # where `both` is nought
     bow_1, bow_2 = first * first - 1, second * second - 1
@@ -158,7 +145,7 @@ def crossing(first: Array, second: Array, correlation: Array) -> Crossing:
     value += both * (one + two * first * second + three * bow_1 * bow_2)
     by_first += both * (first * (three * (2 - bow_1) * bow_2 - one) - two * second * bow_1)
     by_second += both * (second * (three * (2 - bow_2) * bow_1 - one) - two * first * bow_2)
-    return Crossing(value, by_first, by_second)
+    return value, by_first, by_second
 
 
 STRONGEST = 0.97  # |β|, beyond which black has no light at all
@@ -167,17 +154,8 @@ _NEAR = np.float32(0.01)  # |β| below which the series is as good in single pre
 _LEAST = np.float32(0.01)  # of 1 + β f, where the picture's series has run past -1 or 1
 
 
-@dataclass(frozen=True, eq=False)
-class Toned:
-    """A picture (N, K) under its curve, and the derivatives (N, K) by the picture and by β."""
-
-    value: Array
-    by_picture: Array
-    by_tone: Array
-
-
-def toned(picture: Array, tone: Array) -> Toned:
-    """Return pictures (N, K) between -1 and 1 under curves with β = tone (N, 1)."""
+def apply_tone(picture: Array, tone: Array) -> tuple[Array, Array, Array]:
+    """Return pictures (N, K) between -1 and 1 under curves with β = tone (N, 1), and the derivatives by both."""
     curved = (np.abs(tone) > _NEAR)[:, 0]
     first, second = (_GAMMA - 1) * picture, (_GAMMA - 1) * (_GAMMA - 2) * picture**2
     value = picture * (1 + tone * (first / 2 + tone * second / 6))
@@ -190,7 +168,7 @@ def toned(picture: Array, tone: Array) -> Toned:
         value[curved] = (slope * light - 1) / (_GAMMA * beta)
         by_picture[curved] = slope
         by_tone[curved] = (some * slope - value[curved]) / beta
-    return Toned(value, by_picture, by_tone)
+    return value, by_picture, by_tone
 
 
 ROUNDING = 1 / 12  # gray levels² of whole numbers
@@ -323,21 +301,21 @@ class _Corners:
         cos, sin = (part.astype(single).T[..., None] for part in (np.cos(angles), np.sin(angles)))
         along = cos * x + sin * y
         away = cos * y - sin * x - (self.bends / 2).astype(single).T[..., None] * along**2
-        seen = self.picture(states, along, away)
+        seen, by_distances, by_blurs = self.picture(states, along, away)
         level, contrast, tone, slope_x, slope_y = states[:, _LIGHT].astype(single).T[..., None]
         over_x, over_y = x * self.window.scale, y * self.window.scale
         gain = (1 + slope_x * over_x + slope_y * over_y) * self.window.used
-        curve = toned(seen.value, tone)
-        shape = level + contrast * curve.value
-        slope = -gain * contrast * curve.by_picture
+        curved, by_picture, by_tone = apply_tone(seen, tone)
+        shape = level + contrast * curved
+        slope = -gain * contrast * by_picture
         inverse = np.exp(-states[:, _BLURS]).astype(single).T[..., None]
         jacobian = np.empty((len(x), _COUNT, x.shape[1]), single)
-        for edge, by_distance in enumerate((seen.by_first, seen.by_second)):
+        for edge, by_distance in enumerate(by_distances):
             jacobian[:, edge] = slope * by_distance * inverse[edge]
             jacobian[:, 2 + edge] = jacobian[:, edge] * along[edge]
-        for edge, by_blur in enumerate((seen.by_blur_1, seen.by_blur_2)):
+        for edge, by_blur in enumerate(by_blurs):
             jacobian[:, 4 + edge] = slope * by_blur
-        jacobian[:, 6], jacobian[:, 7], jacobian[:, 8] = gain, gain * curve.value, gain * contrast * curve.by_tone
+        jacobian[:, 6], jacobian[:, 7], jacobian[:, 8] = gain, gain * curved, gain * contrast * by_tone
         lit = self.window.used * shape
         jacobian[:, 9], jacobian[:, 10] = over_x * lit, over_y * lit
         return self.window.values * self.window.used - gain * shape, jacobian

@@ -23,11 +23,10 @@ from camcal.run.outputs import writes
 from camcal.run.paths import split_address
 from camcal.targets.board import Board, Surface
 from camcal.targets.detection import BoardDetection
-from camcal.tasks.calibration.advise_options import AdviseOptions
 from camcal.tasks.calibration.board_views import OWN_SUFFIXES, is_table
 from camcal.tasks.calibration.calibrate import calibrate
 from camcal.tasks.calibration.camera_result import CalibrateReport
-from camcal.tasks.calibration.options import CalibrateOptions
+from camcal.tasks.calibration.options import AdviseOptions, CalibrateOptions
 
 COLUMNS = (Column("view"), Column("pose of the board", wraps=True), Column("uncertainty, px"))
 _SIDES = ("right", "lower right", "lower", "lower left", "left", "upper left", "upper", "upper right")

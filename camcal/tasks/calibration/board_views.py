@@ -1,39 +1,30 @@
-"""Views of a board from images or from a detections file.
-
-Screenshots and drawings of a board are told from photographs: no lens has made them, so none can be calibrated.
-"""
+"""Views of a board from images or from a detections file. What looks at images is imported where there are some."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
-
-import numpy as np
+from typing import TYPE_CHECKING, Any
 
 from camcal import files
-from camcal.arrays import Array
-from camcal.errors import CamcalError, InsufficientData, InvalidInput
+from camcal.cameras.validity import ImageCircle
+from camcal.errors import InvalidInput
 from camcal.formats import boards, corner_lists, detections
+from camcal.formats.camera_file import CameraEntry
 from camcal.messages import Message
 from camcal.options import given_words
 from camcal.progress import Progress, warn_of
 from camcal.raw.options import AS_IMAGES, ImageReadOptions
-from camcal.raw.reading import read_detection_image
 from camcal.run.options import DEFAULT_BATCH, BatchOptions
 from camcal.targets.board import Board
-from camcal.targets.detection import BoardDetection, Detections
-from camcal.tasks.calibration.board_search import SAMPLE, Material, gray_of
-from camcal.tasks.calibration.detect import detect_images
-from camcal.tasks.calibration.mixed_sizes import same_size, usual_size
-from camcal.tasks.calibration.options import BEST_FRAMES, CalibrateOptions, DetectOptions, FrameOptions
-from camcal.tasks.calibration.video_frames import FrameRecord, Video
+from camcal.targets.detection import Detections
+from camcal.tasks.calibration.mixed_sizes import circle_fits, same_size, usual_size
+from camcal.tasks.calibration.options import BEST_FRAMES, DetectOptions, FrameOptions
+
+if TYPE_CHECKING:
+    from camcal.tasks.calibration.video_frames import FrameRecord, Video
 
 OWN_SUFFIXES = (".csv", ".vnl")
 DETECTION_SUFFIXES = (*OWN_SUFFIXES, *corner_lists.SUFFIXES)
-# Gray levels that most pixels of a board have: 2 of screenshots, 4 if JPEG has blurred them; 12 at least of photographs
-FEW_LEVELS = 5
-_MOST = 0.8
-FRONTAL = 0.02  # squares, RMS distance of corners from the drawing of the board, moved, turned and scaled
 
 
 @dataclass(frozen=True)
@@ -49,8 +40,8 @@ class BoardViews:
     warnings: tuple[Message, ...] = ()
     lines: tuple[str, ...] = ()
     failed: tuple[str, ...] = ()
-    frames: tuple[FrameRecord, ...] = ()
-    videos: tuple[Video, ...] = ()
+    frames: "tuple[FrameRecord, ...]" = ()
+    videos: "tuple[Video, ...]" = ()
     table: bool = False
     files: Mapping[str, Path] = field(default_factory=dict)
 
@@ -114,6 +105,8 @@ def board_views(
         )
     if known is None:
         raise InvalidInput("--board is needed to find one in images, such as --board chessboard:9x6:25mm")
+    from camcal.tasks.calibration.detect import detect_images
+
     options = DetectOptions(
         inputs,
         known,
@@ -140,6 +133,8 @@ def board_views(
 
 def _size_beside(table: Path, image: str) -> tuple[int, int]:
     """Return the size of an image that a table names, relative to the table's folder or to where we are."""
+    from camcal.raw.reading import read_detection_image
+
     candidates = [folder / image for folder in (table.parent, Path())]
     for path in candidates:
         if path.is_file():
@@ -148,46 +143,37 @@ def _size_beside(table: Path, image: str) -> tuple[int, int]:
     raise InvalidInput(f"has no image size and {image} was not found: set --image-size WxH", where=str(table))
 
 
-def screenshots(seen: BoardViews, options: CalibrateOptions, progress: Progress) -> InsufficientData | None:
-    """Return the error that views look like screenshots of the board, None where some do not or cannot be read again.
+def known_circle(detections: Detections, guess: CameraEntry | None) -> ImageCircle | None:
+    """Return the image circle that goes with detections of one camera, or else with a camera file's entry of it.
 
-    The images of a few are read. Views of a detections file have none.
+    None if neither has one, or it does not fit these detections: it is of images of another size, or points of a board
+    lie outside of it, where there must be light.
     """
-    views = {view.image: view for view in seen.detections.views if view.found}
-    if not views or seen.table or max(off_drawing(view, seen.board) for view in views.values()) > FRONTAL:
-        return None
-    in_videos = {name for video in seen.videos for name in video.names}
-    named = {seen.files.get(name, Path(name)).as_posix(): name for name in views if name not in in_videos}
-    videos = [video.only(views) for video in seen.videos]
-    material = Material([*map(Path, named)], videos, options.reading, options.jobs, options.batch, progress)
-    levels = 0
-    try:
-        for name, source in material.sample(SAMPLE).sources():
-            view = views[named.get(name, name)]
-            levels = max(levels, gray_levels(gray_of(source, options.reading), view.pixels))
-    except CamcalError:
-        return None
-    if levels > FEW_LEVELS:
-        return None
-    text = (
-        "the images look like screenshots or drawings of the board, not photographs: every view is frontal and has "
-        f"only {levels} gray levels: photograph the board, tilted by 20° to 45° about both axes"
-    )
-    return InsufficientData(text, failures=[Message("screenshots", text, {"gray_levels": levels})])
+    cameras = {view.camera for view in detections.views}
+    circle = detections.circles.get(cameras.pop()) if len(cameras) == 1 else None
+    if circle is None and guess is not None:
+        circle = guess.image_circle
+    return circle if circle is not None and circle_fits(circle, detections.views) else None
 
 
-def gray_levels(gray: Array, pixels: Array) -> int:
-    """Return how many gray levels most pixels of `gray`, (H, W) uint8, have around points (N, 2)."""
-    left, top = np.maximum(np.floor(pixels.min(axis=0)), 0).astype(int)
-    right, bottom = np.ceil(pixels.max(axis=0)).astype(int) + 1
-    counts = np.sort(np.bincount(gray[top:bottom, left:right].ravel(), minlength=256))[::-1].cumsum()
-    return int(np.searchsorted(counts, _MOST * counts[-1])) + 1
+def is_refined(asked: bool | None, board: Board, *, table: bool) -> bool:
+    """Return whether the corners of images are to be measured again; asked: by the user, None for where it can be.
+
+    table: the corners come from a detections file. Raises InvalidInput if it is asked for and cannot be.
+    """
+    if asked is None:
+        return board.has_saddle_corners and not table
+    if asked and not board.has_saddle_corners:
+        raise InvalidInput(f"--refine needs a board with checkerboard corners, not a {board.words}")
+    if asked and table:
+        raise InvalidInput("--refine needs images, not a detections file")
+    return asked
 
 
-def off_drawing(view: BoardDetection, board: Board) -> float:
-    """Return how far (squares, RMS) corners are from the board as drawn, moved, turned and scaled."""
-    drawn, shown = (points[:, 0] + 1j * points[:, 1] for points in (board.points()[view.ids], view.pixels))
-    terms = np.column_stack([drawn, np.ones_like(drawn)])
-    solution = np.linalg.lstsq(terms, shown, rcond=None)[0]
-    left = np.abs(shown - terms @ solution)
-    return float(np.sqrt(np.mean(left**2)) / max(abs(solution[0]) * board.spacing, 1e-9))
+def is_located(refine: bool | None, reading: ImageReadOptions, *, mixed_sizes: bool | None) -> bool:
+    """Return whether it is enough to locate a board in images, as its corners are measured with the calibrated lens.
+
+    refine: as `is_refined` has it. Colours are measured where the board is found, views of other sizes before they are
+    made to fit.
+    """
+    return refine is not False and not reading.colours and not mixed_sizes

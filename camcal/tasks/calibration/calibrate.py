@@ -15,28 +15,36 @@ from camcal.calibrate.several_cameras import name_groups
 from camcal.cameras.catalogue import DEFAULT_MODEL, model_named
 from camcal.cameras.validity import ImageCircle
 from camcal.errors import GateFailed, InsufficientData, InvalidInput, NotConverged
-from camcal.formats import cameras, detections, native, native_entry
-from camcal.formats.camera_file import (
-    CameraEntry,
-)
+from camcal.formats import detections, native, native_entry
+from camcal.formats.camera_file import CameraEntry
 from camcal.messages import Message
 from camcal.options import command_line
 from camcal.progress import SILENT, Progress, stage, warn_of
 from camcal.quality.projection_uncertainty import ProjectionUncertainty, too_uncertain
-from camcal.raw.reading import COLOURS
+from camcal.raw.names import COLOURS
 from camcal.report.calibration import as_data, candidates_data, uncertainty_data
-from camcal.run.journal import journal_beside
 from camcal.run.outputs import writes
 from camcal.run.paths import split_address
 from camcal.targets.board import Board
 from camcal.targets.detection import BoardDetection
-from camcal.tasks.calibration.board_views import BoardViews, board_views, screenshots, view_settings
-from camcal.tasks.calibration.camera_result import CalibrateReport, Channel, camera_file, channel_figures
-from camcal.tasks.calibration.corner_refinement import RefinementSummary, is_located, is_refined, refine_corners
-from camcal.tasks.calibration.image_circle_of_views import circle_lines, known_circle, with_circle
+from camcal.tasks.calibration.board_views import (
+    BoardViews,
+    board_views,
+    is_located,
+    is_refined,
+    is_table,
+    known_circle,
+    view_settings,
+)
+from camcal.tasks.calibration.camera_result import (
+    CalibrateReport,
+    Channel,
+    RefinementSummary,
+    camera_file,
+    channel_figures,
+)
 from camcal.tasks.calibration.model_selection import Selection, brief_calibration, solve
 from camcal.tasks.calibration.options import CalibrateOptions
-from camcal.tasks.calibration.video_frames import as_data as frame_data
 from camcal.tasks.figure_files import figure_data, write_figures
 
 
@@ -46,8 +54,13 @@ def calibrate(options: CalibrateOptions, progress: Progress = SILENT) -> Calibra
 
     Raises InvalidInput, FileError, InsufficientData or NotConverged; nothing is written then.
     """
+    look = partial(seen_of, options, options.board, progress)
+    if any(map(is_table, options.inputs)):
+        return calibrated(look, options, progress)
+    from camcal.run.journal import journal_beside
+
     with journal_beside(options.output, options.batch):
-        return calibrated(lambda: seen_of(options, options.board, progress), options, progress)
+        return calibrated(look, options, progress)
 
 
 def seen_of(options: CalibrateOptions, board: Board | str | None, progress: Progress = SILENT) -> BoardViews:
@@ -81,11 +94,10 @@ def calibrated(
     seen = look()
     refined = is_refined(options.refine, seen.board, table=seen.table)
     how = replace(how, named_groups=name_groups([view.image for view in seen.detections.views]))
-    seen = (
-        seen
-        if seen.table
-        else replace(seen, detections=with_circle(seen.detections, seen.videos, options.reading, seen.files))
-    )
+    if not seen.table:
+        from camcal.tasks.calibration.images_again import with_circle
+
+        seen = replace(seen, detections=with_circle(seen.detections, seen.videos, options.reading, seen.files))
     circle = known_circle(seen.detections, guess)
     if options.save_detections:
         detections.write(options.save_detections, seen.detections)
@@ -103,7 +115,7 @@ def calibrated(
         else:
             selection = solve_seen(seen.detections.views)
     except (InsufficientData, NotConverged) as refusal:
-        error = screenshots(seen, options, progress) or refusal
+        error = _cause(refusal, seen, options, progress)
         if options.save_detections and any(view.located for view in seen.detections.views):
             detections.write(options.save_detections, _measure(seen, None, options, progress)[0].detections)
         if options.report is not None:
@@ -132,7 +144,10 @@ def calibrated(
         views=seen,
         warnings=seen.warnings + found,
         failed=seen.failed,
-        lines=seen.lines + circle_lines(circle) + selection.lines + (refinement.lines if refinement else ()),
+        lines=seen.lines
+        + (() if circle is None else (circle.words,))
+        + selection.lines
+        + (refinement.lines if refinement else ()),
         refinement=refinement,
         channels=channels,
         frames=seen.frames,
@@ -195,10 +210,23 @@ def _refine(
         return seen, solve(seen.detections.views), None, (Message("refinement_failed", text),)
 
 
+def _cause(
+    refusal: InsufficientData | NotConverged, seen: BoardViews, options: CalibrateOptions, progress: Progress
+) -> InsufficientData | NotConverged:
+    """Return why views cannot be calibrated: that their images look like screenshots of the board, if they do."""
+    if seen.table:
+        return refusal
+    from camcal.tasks.calibration.images_again import screenshots
+
+    return screenshots(seen.detections, seen.board, seen.videos, seen.files, options, progress) or refusal
+
+
 def _measure(
     seen: BoardViews, lens: Calibration | None, options: CalibrateOptions, progress: Progress
 ) -> tuple[BoardViews, RefinementSummary]:
     """Return the views with their corners measured, see `refine_corners`, and what has changed."""
+    from camcal.tasks.calibration.images_again import refine_corners
+
     how = options.reading, options.jobs, options.batch, progress
     look = refine_corners(lens, seen.board, seen.detections.views, seen.videos, *how, seen.files)
     better = replace(seen, detections=replace(seen.detections, views=look.views))
@@ -216,6 +244,8 @@ def _channel(calibration: Calibration, colour: str, views: Sequence[BoardDetecti
 def _guess(options: CalibrateOptions, progress: Progress) -> CameraEntry | None:
     if options.guess is None:
         return None
+    from camcal.formats import cameras
+
     path, name = split_address(options.guess)
     # a start may be poor; what is held at its value may not
     file = cameras.read(path, progress) if options.fix else cameras.read(path)
@@ -248,7 +278,7 @@ def document(report: CalibrateReport, options: CalibrateOptions) -> dict[str, An
         "region": {**vars(report.assessment.region), "polygon": report.assessment.region.polygon.round(2).tolist()},
         "failures": messages.as_data(report.assessment.failures),
         "candidates": candidates_data(report.candidates),
-        "frames": [frame_data(record) for record in report.frames],
+        "frames": [record.as_data() for record in report.frames],
         "failed": report.failed,
         **lenses,
         **figure_data(report.figures),

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -31,8 +31,9 @@ from camcal.report.calibration import headline, view_record
 from camcal.report.table import projection_words, region_words
 from camcal.targets.board import Surface
 from camcal.tasks.calibration.board_views import BoardViews
-from camcal.tasks.calibration.corner_refinement import RefinementSummary
-from camcal.tasks.calibration.video_frames import FrameRecord
+
+if TYPE_CHECKING:
+    from camcal.tasks.calibration.video_frames import FrameRecord
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +42,21 @@ class Channel:
 
     lens: ColourLens
     aberration: Aberration
+
+
+@dataclass(frozen=True)
+class RefinementSummary:
+    """How many corners measuring them again with the calibrated lens has added and removed."""
+
+    added: int
+    removed: int
+
+    @property
+    def lines(self) -> tuple[str, ...]:
+        """The line of the report, none where nothing has changed."""
+        if not self.added and not self.removed:
+            return ()
+        return (f"corner refinement with the calibrated lens: {self.added} added, {self.removed} removed",)
 
 
 def camera_file(
@@ -153,7 +169,7 @@ class CalibrateReport(Brief):
     lines: tuple[str, ...] = ()
     refinement: RefinementSummary | None = None
     channels: Mapping[str, Channel] = field(default_factory=dict)
-    frames: tuple[FrameRecord, ...] = ()
+    frames: "tuple[FrameRecord, ...]" = ()
     candidates: tuple[CandidateModel, ...] = ()
     figures: tuple[Path, ...] = ()
 

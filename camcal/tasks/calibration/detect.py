@@ -32,14 +32,13 @@ from camcal.tasks.calibration.board_search import (
     require_colours,
     search,
 )
-from camcal.tasks.calibration.image_circle_of_views import circle_lines, with_circle
+from camcal.tasks.calibration.images_again import with_circle
 from camcal.tasks.calibration.mixed_sizes import same_size, usual_size
 from camcal.tasks.calibration.options import DetectOptions
 from camcal.tasks.calibration.video_frames import (
     Frame,
     FrameRecord,
     Video,
-    as_data,
     detect_frame,
     require_names,
     settled,
@@ -130,7 +129,7 @@ def _detect(options: DetectOptions, progress: Progress, *, locate: bool) -> Dete
         failed=tuple(map(str, errors)),
         lines=(
             *pattern_lines(board, asked, views),
-            *circle_lines(result.circles.get("")),
+            *(circle.words for circle in result.circles.values()),
             *(summary(video, records) for video in videos),
         ),
         frames=records,
@@ -299,7 +298,7 @@ def document(report: DetectReport, output: Path | None) -> dict[str, Any]:
             }
             for view in report.detections.views
         ],
-        "frames": [as_data(record) for record in report.frames],
+        "frames": [record.as_data() for record in report.frames],
         "failed": list(report.failed),
         "pictures": [path.as_posix() for path in report.pictures],
     }

@@ -17,6 +17,7 @@ from camcal.calibrate.fit import ShapeOptions
 from camcal.calibrate.intrinsics import Calibration
 from camcal.calibrate.view_records import names_of
 from camcal.cameras.catalogue import DEFAULT_MODEL, WIDE_MODEL, model_named
+from camcal.cameras.validity import ImageCircle
 from camcal.errors import CamcalError
 from camcal.messages import Message, counted
 from camcal.targets.board import Board
@@ -60,6 +61,13 @@ def usual_size(views: Sequence[BoardDetection]) -> Size:
     """Return the size of most views with points, (width, height); (0, 0) if there are none."""
     sizes = Counter(view.size for view in views if view.found)
     return max(sizes, key=lambda size: sizes[size], default=(0, 0))
+
+
+def circle_fits(circle: ImageCircle, views: Sequence[BoardDetection]) -> bool:
+    """Return whether a circle is of images of the usual size, and holds all points that were found in these."""
+    size = usual_size(views)
+    inside = (circle.contains(view.pixels).all() for view in views if view.size == size)
+    return circle.image_size == size and all(inside)
 
 
 def same_size(views: Sequence[BoardDetection], usual: Size, board: Board, *, mixed: bool | None) -> SameSize:

@@ -10,6 +10,7 @@ from camcal.options import (
     CHECKS,
     INPUT,
     LENS,
+    METHOD,
     NAMES,
     OUTPUT,
     PERCENT,
@@ -33,6 +34,8 @@ from camcal.tasks.options import (
     NO_FIGURES,
     PICTURES,
     BoardText,
+    DetectionsModel,
+    DetectionsSize,
     FigureOptions,
     Jobs,
     Overwrite,
@@ -340,3 +343,24 @@ class DiffOptions(OptionsRecord):
         super().__post_init__()
         if len(self.files) == 1:
             raise InvalidInput(f"one camera file ({self.files[0]}): give two or more to compare")
+
+
+@dataclass(frozen=True)
+class AdviseOptions(OptionsRecord):
+    """A camera file or a detections file, how many views to suggest, and where their picture goes.
+
+    board: of detections that name none, or another one than that of the calibration. model, image_size: of detections,
+    as for `calibrate`.
+    """
+
+    file: Annotated[
+        str, Argument("Camera file of camcal, or FILE#NAME, or detections file.", metavar="CAMERA|DETECTIONS")
+    ]
+    board: BoardText = None
+    model: DetectionsModel = None
+    image_size: DetectionsSize = None
+    count: Annotated[
+        int, Option("Number of views to suggest.", metavar="N", names="--views", group=METHOD, least=1, most=20)
+    ] = 3
+    output: Annotated[Path | None, output_option("Picture of the suggested views.", FIGURES, "FILE")] = None
+    overwrite: Overwrite = False

@@ -108,6 +108,21 @@ class FrameRecord:
     reason: str
     choice: FrameChoice | None = None
 
+    def as_data(self) -> dict[str, Any]:
+        """Return it as plain data for --json; NaN where a figure is not known."""
+        view, choice = self.view, self.choice
+        return {
+            "frame": view.image,
+            "corners": len(view.ids),
+            "taken": self.taken,
+            "reason": self.reason,
+            "order": None if choice is None or choice.rank is None else choice.rank + 1,
+            "blur_px": view.blur_px,
+            "motion_px": view.motion_px,
+            "error_px": None if choice is None else choice.error_px,
+            "gain": None if choice is None else choice.gain,
+        }
+
 
 def require_names(videos: Sequence[Path]) -> None:
     """Raise InvalidInput if frames of two videos would have one name."""
@@ -250,19 +265,3 @@ def cells(record: FrameRecord) -> list[object]:
     figures = [round(value, 2) if np.isfinite(value) else None for value in (view.blur_px, view.motion_px)]
     order = None if choice is None or choice.rank is None else choice.rank + 1
     return [view.image, len(view.ids), *figures, order, record.reason]
-
-
-def as_data(record: FrameRecord) -> dict[str, Any]:
-    """Return what became of a frame as plain data for --json; NaN where a figure is not known."""
-    view, choice = record.view, record.choice
-    return {
-        "frame": view.image,
-        "corners": len(view.ids),
-        "taken": record.taken,
-        "reason": record.reason,
-        "order": None if choice is None or choice.rank is None else choice.rank + 1,
-        "blur_px": view.blur_px,
-        "motion_px": view.motion_px,
-        "error_px": None if choice is None else choice.error_px,
-        "gain": None if choice is None else choice.gain,
-    }

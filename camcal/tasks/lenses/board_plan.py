@@ -223,8 +223,8 @@ def _at(held: _Held, setup: Setup, options: BoardOptions, known: AtDistance, fil
     square = _element(held.board) * distance / filling if filling else None
     if share > 1:
         return BoardAt(distance, smallest, largest, share, square, noise)
-    forecast = forecast_pose(held.camera, held.points, held.pose(distance), noise)
-    sigma = tuple(np.sqrt(np.diag(forecast.covariance)).tolist())
+    covariance, p_wrong = forecast_pose(held.camera, held.points, held.pose(distance), noise)
+    sigma = tuple(np.sqrt(np.diag(covariance)).tolist())
     return BoardAt(
         distance=distance,
         smallest_px=smallest,
@@ -233,7 +233,7 @@ def _at(held: _Held, setup: Setup, options: BoardOptions, known: AtDistance, fil
         square_for_share=square,
         noise_px=noise,
         sigma=sigma,
-        p_wrong=forecast.p_wrong,
+        p_wrong=p_wrong,
     )
 
 

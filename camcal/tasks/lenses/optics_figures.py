@@ -142,13 +142,11 @@ def focus(setup: Setup) -> Focus | None:
     focal, distance, number, circle = setup.focal, setup.focus, setup.options.f_number, setup.circle
     if focal is None or distance is None:
         return None
-    sharp = None if number is None or circle is None else lens.depth_of_field(focal, number, circle, distance)
-    return Focus(
-        lens.principal_distance(focal, distance),
-        lens.magnification(focal, distance),
-        None if number is None or circle is None else lens.hyperfocal(focal, number, circle),
-        *((None, None, None) if sharp is None else (sharp.near, sharp.far, sharp.total)),
-    )
+    found = lens.principal_distance(focal, distance), lens.magnification(focal, distance)
+    if number is None or circle is None:
+        return Focus(*found, None, None, None, None)
+    near, far = lens.depth_of_field(focal, number, circle, distance)
+    return Focus(*found, lens.hyperfocal(focal, number, circle), near, far, far - near)
 
 
 def diffraction(setup: Setup) -> Diffraction | None:

@@ -321,7 +321,7 @@ def load_corrections(given: CorrectionFiles, reading: RawInput, first: Path) -> 
     dark = dark_average(frames(given.dark, reading), like.white) if given.dark else None
     corrections = Corrections(dark=dark, bad=calibration_frames.read_map(given.bad, like.size) if given.bad else None)
     if given.flat:
-        flat = stack(frames(given.flat, reading)).mean
+        flat = stack(frames(given.flat, reading))[1]
         corrections.require_size(like)
         light = linearise(replace(like, values=flat), dark)
         corrections = replace(corrections, flat=flat_gain(light, like.pattern))

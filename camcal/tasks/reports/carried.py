@@ -30,7 +30,7 @@ from camcal.report.page.record import DataBlock
 from camcal.run.paths import split_address
 from camcal.targets.board import Board
 from camcal.targets.detection import Detections
-from camcal.tasks.calibration.corner_refinement import RefinementSummary
+from camcal.tasks.calibration.camera_result import RefinementSummary
 from camcal.tasks.reports.closing import environment
 
 FORMAT, VERSION = "camcal-report", 1

@@ -22,9 +22,9 @@ from camcal.report.calibration import as_data, candidates_data, uncertainty_data
 from camcal.report.rig import motion_data, transform_data
 from camcal.run.journal import journal_beside
 from camcal.run.outputs import writes
-from camcal.tasks.calibration.corner_refinement import RefinementSummary, is_refined, refine_corners
-from camcal.tasks.calibration.image_circle_of_views import known_circle
-from camcal.tasks.calibration.video_frames import as_data as frame_data
+from camcal.tasks.calibration.board_views import is_refined, known_circle
+from camcal.tasks.calibration.camera_result import RefinementSummary
+from camcal.tasks.calibration.images_again import refine_corners
 from camcal.tasks.figure_files import figure_data, write_figures
 from camcal.tasks.rigs.options import PRIOR, RigSettings, RigTaskOptions, StereoCalibrateOptions
 from camcal.tasks.rigs.rig_lenses import (
@@ -272,7 +272,7 @@ def document(report: RigReport, settings: RigSettings) -> dict[str, Any]:
         ],
         "trustworthy": report.trustworthy,
         "failures": messages.as_data(report.failures),
-        "frames": [frame_data(record) for record in report.views.frames],
+        "frames": [record.as_data() for record in report.views.frames],
         "failed": report.failed,
         **figure_data(report.figures),
     }

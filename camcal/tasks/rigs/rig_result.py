@@ -16,8 +16,7 @@ from camcal.quality.assess import Assessment
 from camcal.quality.projection_uncertainty import ProjectionUncertainty
 from camcal.records import Brief
 from camcal.report.rig import motion_data
-from camcal.tasks.calibration.camera_result import camera_entry, image_record, is_shaped
-from camcal.tasks.calibration.corner_refinement import RefinementSummary
+from camcal.tasks.calibration.camera_result import RefinementSummary, camera_entry, image_record, is_shaped
 from camcal.tasks.rigs.rig_views import RigViews
 
 

@@ -16,10 +16,9 @@ from camcal.targets.board import Board
 from camcal.targets.detect import require_findable
 from camcal.targets.detection import BoardDetection, Detections
 from camcal.tasks.calibration.board_search import require_colours
-from camcal.tasks.calibration.board_views import board_views
-from camcal.tasks.calibration.corner_refinement import is_located
+from camcal.tasks.calibration.board_views import board_views, is_located
 from camcal.tasks.calibration.detect import search_board
-from camcal.tasks.calibration.image_circle_of_views import circle_lines, with_circle
+from camcal.tasks.calibration.images_again import with_circle
 from camcal.tasks.calibration.mixed_sizes import same_size, usual_size
 from camcal.tasks.calibration.options import DetectOptions
 from camcal.tasks.calibration.video_frames import FrameRecord, Video, summary
@@ -261,9 +260,8 @@ def with_circles(views: RigViews, settings: RigSettings) -> RigViews:
     if views.table:
         return views
     circles: dict[str, ImageCircle] = {}
-    lines: list[str] = []
     for name in views.captures.cameras:
         own = Detections(views.board, tuple(views.of(name)))
         circles |= with_circle(own, views.videos, settings.reading, views.files).circles
-        lines += [f"{name}: {line}" for line in circle_lines(circles.get(name))]
+    lines = (f"{name}: {circle.words}" for name, circle in circles.items())
     return replace(views, circles=circles, lines=(*views.lines, *lines))

@@ -29,7 +29,6 @@ from camcal.stereo.truth import (
     AT_LEAST,
     FIGURES,
     Evaluation,
-    Prediction,
     evaluate,
     mean_of,
     unoccluded,
@@ -208,9 +207,9 @@ def _evaluate_pair(item: _Item, options: EvalOptions) -> PairReport:
     values, true = found.matched(), truth.matched()
     visible, occlusion = _visible(files, options, true)
     heard = Collected()
-    prediction = Prediction(*_predicted(files, found.sidecar, truth.scale, heard))
+    sigma, confidence = _predicted(files, found.sidecar, truth.scale, heard)
     try:
-        evaluation = evaluate(values, true, visible, geometry, prediction)
+        evaluation = evaluate(values, true, visible, geometry, sigma, confidence)
     except InvalidInput as error:
         raise InvalidInput(error.message, where=str(files.disparity)) from error
     if picture is not None:

@@ -169,7 +169,7 @@ def test_scores_of_samples_are_the_truncated_errors_through_the_lens():
     states = se3.retract(np.repeat(se3.of_poses([frame.inverse() @ truth]), 30, axis=0), rng.normal(0, 2e-3, (30, 6)))
     search = samples._Search.of(problems, 0, criterion, seed=0)
     exact = 2 * inliers.truncated_cost(problems, states, np.zeros(30, int), criterion)
-    np.testing.assert_allclose(search.scorer.scores(states), exact, rtol=0.01)  # first order in residuals of 3 px
+    np.testing.assert_allclose(search.scores(states), exact, rtol=0.01)  # first order in residuals of 3 px
 
 
 def test_points_and_pixels_that_do_not_belong_together_are_refused_or_weak():

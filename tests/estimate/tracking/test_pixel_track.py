@@ -11,7 +11,7 @@ from camcal.estimate.pnp import estimate_poses
 from camcal.estimate.poses.records import Correspondences, PoseOptions
 from camcal.estimate.smoothing.kalman import AMBIGUOUS
 from camcal.estimate.tracking.frames import PixelFrames
-from camcal.estimate.tracking.hypotheses import Forward, Hypotheses
+from camcal.estimate.tracking.hypotheses import Hypotheses
 from camcal.estimate.tracking.motion import MotionState
 from camcal.estimate.tracking.pixel_track import look_ahead
 from camcal.estimate.tracking.process_noise import ProcessNoise
@@ -91,7 +91,7 @@ def test_with_a_look_ahead_costs_count_by_half_of_what_they_would_if_all_was_kno
         np.zeros(2, int),
         np.zeros((2, 6)),
     )
-    chance = look_ahead(Forward((both,)), 0, 0.1, PixelFrames.overstated_ahead)[2]
+    chance = look_ahead((both,), 0, 0.1, PixelFrames.overstated_ahead)[2]
     assert chance == pytest.approx([1 / (1 + np.e)])
 
 

@@ -11,7 +11,7 @@ from onnx_bytes import difference, field, model, node, tensor
 
 from camcal.errors import CamcalError, FileError, InvalidInput
 from camcal.stereo.matching import learned
-from camcal.stereo.matching.learned import NetworkInput, learned_disparity, read_graph
+from camcal.stereo.matching.learned import learned_disparity, read_graph
 
 GRAY = np.array([0.299, 0.587, 0.114])  # ITU-R BT.601, red first
 IMAGE = (1, 3, "rows", "columns")
@@ -43,7 +43,7 @@ def test_the_output_of_the_model_is_the_disparity_pixel_by_pixel(network, pair):
 
 def test_white_may_be_one(network, pair):
     left, right = pair
-    found = learned_disparity(left, right, network(difference()), NetworkInput(white=1.0))
+    found = learned_disparity(left, right, network(difference()), white=1.0)
     np.testing.assert_allclose(found, (left.mean(2) - right.mean(2)) / 255, rtol=0, atol=ROUNDING / 255)
 
 
@@ -57,7 +57,7 @@ def test_red_comes_first_unless_blue_is_asked_for(network, pair, blue_first, cha
     first = network(model(nodes, [tensor("left", *IMAGE), tensor("right", *IMAGE)], [tensor("out", *MAP)]))
     left, right = np.zeros((2, 32, 32, 3), np.uint8)
     left[..., channel] = 200
-    found = learned_disparity(left, right, first, NetworkInput(blue_first=blue_first))
+    found = learned_disparity(left, right, first, blue_first=blue_first)
     assert (found == 0).all()
 
 
@@ -165,10 +165,10 @@ def test_a_missing_and_an_empty_file_are_file_errors(tmp_path, network, pair):
 
 def test_weights_that_old_models_list_as_inputs_are_no_images(network):
     inputs = [tensor("left", *IMAGE), tensor("kernel", 3, 3), tensor("right", *IMAGE)]
-    graph = read_graph(network(model([SUM], inputs, [tensor("out", *MAP)], weights=["kernel"])))
-    assert [part.name for part in graph.inputs] == ["left", "right"]
-    assert graph.inputs[0].shape == (1, 3, None, None)
-    assert graph.outputs[0].shape == (1, 1, None, None)
+    inputs, outputs = read_graph(network(model([SUM], inputs, [tensor("out", *MAP)], weights=["kernel"])))
+    assert [part.name for part in inputs] == ["left", "right"]
+    assert inputs[0].shape == (1, 3, None, None)
+    assert outputs[0].shape == (1, 1, None, None)
 
 
 @given(st.data())
@@ -179,7 +179,7 @@ def test_a_damaged_model_is_read_or_refused(tmp_path_factory, data):
     path = tmp_path_factory.getbasetemp() / "damaged.onnx"
     path.write_bytes(content)
     try:
-        found = read_graph(path).inputs
+        found, _ = read_graph(path)
     except CamcalError as error:
         found = error.where
     assert found == str(path) or all(isinstance(part.name, str) for part in found)

@@ -1,7 +1,9 @@
-"""Measurement of corners with the calibrated lens, its poses and the shape of its board.
+"""What images tell of a board once it was found in them, and the lens that saw it is known or asked for.
 
-Views whose board was located only are measured here for the first time: along the edges that the lens expects, or as
-the image alone has them where it expects none.
+Where the images show an image circle, it is measured. Corners are measured with the calibrated lens, its poses and the
+shape of its board: views whose board was located only are measured here for the first time, along the edges that the
+lens expects, or as the image alone has them where it expects none. Screenshots and drawings of a board are told from
+photographs: no lens has made them, so none can be calibrated.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -14,7 +16,10 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.calibrate.intrinsics import Calibration, View
-from camcal.errors import InvalidInput
+from camcal.cameras.validity import ImageCircle
+from camcal.errors import CamcalError, InsufficientData
+from camcal.images.image_circle import MOST_IMAGES, ImageCircleSearch, evenly_spaced
+from camcal.messages import Message
 from camcal.progress import Progress
 from camcal.raw.options import ImageReadOptions
 from camcal.raw.reading import read_detection_image
@@ -22,11 +27,70 @@ from camcal.run.fanout import fan_out
 from camcal.run.options import BatchOptions
 from camcal.targets.board import Board
 from camcal.targets.corners.measure import Expected, measure, remeasure, seen_cells, signs
-from camcal.targets.detection import NEAR, BoardDetection, MaskedImage, size_relation
+from camcal.targets.detection import NEAR, BoardDetection, Detections, MaskedImage, size_relation
+from camcal.tasks.calibration.board_search import SAMPLE, Material, gray_of
+from camcal.tasks.calibration.mixed_sizes import circle_fits, usual_size
+from camcal.tasks.calibration.options import CalibrateOptions
 from camcal.tasks.calibration.video_frames import Video
 
+# Gray levels that most pixels of a board have: 2 of screenshots, 4 if JPEG has blurred them; 12 at least of photographs
+FEW_LEVELS = 5
+_MOST = 0.8
+FRONTAL = 0.02  # squares, RMS distance of corners from the drawing of the board, moved, turned and scaled
 _MAX_BLUR_PX = 3.0  # of edges: whose images are more blurred have larger squares
 _RIM_PX = 3.0  # corners nearer to the border of the image are not searched for
+
+
+def with_circle(
+    detections: Detections,
+    videos: Sequence[Video],
+    reading: ImageReadOptions,
+    files: Mapping[str, Path] = MappingProxyType({}),
+) -> Detections:
+    """Return what was found in images of one camera with its image circle, if the images show one.
+
+    videos: the videos that frames among the images are from. files: the images whose names are not their paths. Some
+    images are read once more, until it is clear that there is no circle.
+    """
+    circle = _measured(detections.views, videos, reading, files)
+    camera = detections.views[0].camera if len(detections) else ""
+    return detections if circle is None else replace(detections, circles={camera: circle})
+
+
+def _measured(
+    views: Sequence[BoardDetection], videos: Sequence[Video], reading: ImageReadOptions, files: Mapping[str, Path]
+) -> ImageCircle | None:
+    """Return the image circle that images show, None if they show none or points of a board lie outside of it."""
+    size = usual_size(views)
+    names = [view.image for view in views if view.size == size]
+    names = [names[index] for index in evenly_spaced(len(names), MOST_IMAGES)]
+    search = ImageCircleSearch()
+    for gray in _images(names, videos, reading, files):
+        if gray.shape[::-1] != size:  # of the file; the view was made to fit
+            continue
+        search.add(gray)
+        if search.ruled_out:
+            return None
+    found = search.result()
+    if found is None or not circle_fits(found, views):
+        return None
+    return ImageCircle(found.image_size, found.centre, found.radius)
+
+
+def _images(
+    names: Sequence[str], videos: Sequence[Video], reading: ImageReadOptions, files: Mapping[str, Path]
+) -> Iterator[Array]:
+    """Yield the gray images (H, W) of that name that can be read, frames of videos last."""
+    from_videos = frozenset(name for video in videos for name in video.names)
+    for name in names:
+        if name in from_videos:
+            continue
+        try:
+            yield read_detection_image(files.get(name, Path(name)), reading).gray
+        except CamcalError:  # gone since
+            continue
+    for video in videos:
+        yield from (frame.image.pixels for frame in video.only(frozenset(names)).frames())
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,44 +103,6 @@ class CornerRefinement:
     views: tuple[BoardDetection, ...]
     recovered: int
     lost: int
-
-
-@dataclass(frozen=True)
-class RefinementSummary:
-    """How many corners measuring them again with the calibrated lens has added and removed."""
-
-    added: int
-    removed: int
-
-    @property
-    def lines(self) -> tuple[str, ...]:
-        """The line of the report, none where nothing has changed."""
-        if not self.added and not self.removed:
-            return ()
-        return (f"corner refinement with the calibrated lens: {self.added} added, {self.removed} removed",)
-
-
-def is_refined(asked: bool | None, board: Board, *, table: bool) -> bool:
-    """Return whether the corners of images are to be measured again; asked: by the user, None for where it can be.
-
-    table: the corners come from a detections file. Raises InvalidInput if it is asked for and cannot be.
-    """
-    if asked is None:
-        return board.has_saddle_corners and not table
-    if asked and not board.has_saddle_corners:
-        raise InvalidInput(f"--refine needs a board with checkerboard corners, not a {board.words}")
-    if asked and table:
-        raise InvalidInput("--refine needs images, not a detections file")
-    return asked
-
-
-def is_located(refine: bool | None, reading: ImageReadOptions, *, mixed_sizes: bool | None) -> bool:
-    """Return whether it is enough to locate a board in images, as its corners are measured with the calibrated lens.
-
-    refine: as `is_refined` has it. Colours are measured where the board is found, views of other sizes before they are
-    made to fit.
-    """
-    return refine is not False and not reading.colours and not mixed_sizes
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,3 +199,55 @@ def _expected(calibration: Calibration, record: View) -> Expected:
     known &= np.isfinite(cells.bends).all(axis=1)
     inside = ((pixels > _RIM_PX) & (pixels < size - 1 - _RIM_PX)).all(axis=1)
     return Expected(pixels, cells, np.asarray(known & inside), signs(board))
+
+
+def screenshots(
+    found: Detections,
+    board: Board,
+    videos: Sequence[Video],
+    files: Mapping[str, Path],
+    options: CalibrateOptions,
+    progress: Progress,
+) -> InsufficientData | None:
+    """Return the error that views look like screenshots of the board, None where some do not or cannot be read again.
+
+    files: the images whose names are not their paths. The images of a few are read.
+    """
+    views = {view.image: view for view in found.views if view.found}
+    if not views or max(off_drawing(view, board) for view in views.values()) > FRONTAL:
+        return None
+    in_videos = {name for video in videos for name in video.names}
+    named = {files.get(name, Path(name)).as_posix(): name for name in views if name not in in_videos}
+    frames = [video.only(views) for video in videos]
+    material = Material([*map(Path, named)], frames, options.reading, options.jobs, options.batch, progress)
+    levels = 0
+    try:
+        for name, source in material.sample(SAMPLE).sources():
+            view = views[named.get(name, name)]
+            levels = max(levels, gray_levels(gray_of(source, options.reading), view.pixels))
+    except CamcalError:
+        return None
+    if levels > FEW_LEVELS:
+        return None
+    text = (
+        "the images look like screenshots or drawings of the board, not photographs: every view is frontal and has "
+        f"only {levels} gray levels: photograph the board, tilted by 20° to 45° about both axes"
+    )
+    return InsufficientData(text, failures=[Message("screenshots", text, {"gray_levels": levels})])
+
+
+def gray_levels(gray: Array, pixels: Array) -> int:
+    """Return how many gray levels most pixels of `gray`, (H, W) uint8, have around points (N, 2)."""
+    left, top = np.maximum(np.floor(pixels.min(axis=0)), 0).astype(int)
+    right, bottom = np.ceil(pixels.max(axis=0)).astype(int) + 1
+    counts = np.sort(np.bincount(gray[top:bottom, left:right].ravel(), minlength=256))[::-1].cumsum()
+    return int(np.searchsorted(counts, _MOST * counts[-1])) + 1
+
+
+def off_drawing(view: BoardDetection, board: Board) -> float:
+    """Return how far (squares, RMS) corners are from the board as drawn, moved, turned and scaled."""
+    drawn, shown = (points[:, 0] + 1j * points[:, 1] for points in (board.points()[view.ids], view.pixels))
+    terms = np.column_stack([drawn, np.ones_like(drawn)])
+    solution = np.linalg.lstsq(terms, shown, rcond=None)[0]
+    left = np.abs(shown - terms @ solution)
+    return float(np.sqrt(np.mean(left**2)) / max(abs(solution[0]) * board.spacing, 1e-9))
