@@ -1,7 +1,7 @@
 """Contents of a camera file: named cameras, the transforms between them, and provenance."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -335,18 +335,15 @@ def _rows(joint: JointCovariance, transform: str) -> list[int]:
     return [joint.names.index(name) for name in names] if set(names) <= set(joint.names) else []
 
 
-def named_transforms(file: CameraFile, places: Mapping[str, str]) -> list[NamedTransform]:
-    """Return the transforms of a file with their covariances; places: by name, what is said of where they stand."""
-    found = []
-    for name, item in file.transforms.items():
-        known = transform_covariances(file, name)
-        cross = {places[other]: own for other, own in known.items() if other != name}
-        found.append(NamedTransform(*frames_of(name), item.pose, known.get(name), places[name], cross))
-    return found
+def named_transform(file: CameraFile, name: str, place: Callable[[str], str] = str) -> NamedTransform:
+    """Return a transform of a file with its covariance; place: what is said of where the one of a name stands."""
+    known = transform_covariances(file, name)
+    cross = {place(other): own for other, own in known.items() if other != name}
+    return NamedTransform(*frames_of(name), file.transforms[name].pose, known.get(name), place(name), cross)
 
 
 def _graph(file: CameraFile) -> FrameGraph:
-    return FrameGraph(named_transforms(file, {name: name for name in file.transforms}))
+    return FrameGraph([NamedTransform(*frames_of(name), item.pose) for name, item in file.transforms.items()])
 
 
 def _rig_covariance(file: CameraFile, derived: Mapping[str, Derived[int]]) -> FloatArray | None:
@@ -369,15 +366,15 @@ def _rig_covariance(file: CameraFile, derived: Mapping[str, Derived[int]]) -> Fl
 
 
 def transform_between(file: CameraFile, target: str, source: str) -> Transform | None:
-    """Return target_T_source by way of the transforms of a file, None if they do not join the two; with its covariance
-    where all of them have one.
+    """Return target_T_source by way of the transforms of a file, with its covariance where all of them have one; None
+    if they do not join the two.
     """
-    graph = _graph(file)
+    graph, names = _graph(file), list(file.transforms)
     try:
         derived = graph.along(graph.path(target, source))
     except InvalidInput:
         return None
-    used = {place: graph.transforms[place] for place in derived.by}
+    used = {place: named_transform(file, names[place]) for place in derived.by}
     unknown = any(item.covariance is None for item in used.values())
     return Transform(derived.pose, None if unknown else derived.covariance_of(used))
 
