@@ -1,9 +1,11 @@
 """The lens models by name. A new model adds a file, whose MODELS it is among, and its name to the line of that file."""
 
 from collections.abc import Iterator, Mapping
+from functools import cache
 from importlib import import_module
 
 from camcal.cameras.lens import CameraModel
+from camcal.cameras.plane_model import TILTED, PlaneModel
 from camcal.errors import InvalidInput
 from camcal.parsing import nearest
 
@@ -21,12 +23,17 @@ _FILES = {
 
 
 class _Models(Mapping[str, CameraModel]):
-    """The lens models by name; a file is imported when one of its models is asked for, as a camera needs one alone."""
+    """The lens models by name; a file is imported when one of its models is asked for, as a camera needs one alone.
+
+    A name with TILTED behind it is that lens on a tilted sensor: there, though not among the names.
+    """
 
     def __init__(self) -> None:
         self.files = {name: file for file, names in _FILES.items() for name in names.split()}
 
     def __getitem__(self, name: str) -> CameraModel:
+        if name not in self.files and name.endswith(TILTED):
+            return _tilted(name.removesuffix(TILTED))
         models: tuple[CameraModel, ...] = import_module(f"camcal.cameras.{self.files[name]}").MODELS
         return next(model for model in models if model.name == name)
 
@@ -39,6 +46,17 @@ class _Models(Mapping[str, CameraModel]):
 
 MODELS = _Models()
 
+
+@cache  # there is one of each model
+def _tilted(name: str) -> CameraModel:
+    """Return the lens of a name on a tilted sensor; raises KeyError where there is none."""
+    lens = MODELS[name]
+    found = lens.tilted() if isinstance(lens, PlaneModel) else None
+    if found is None:
+        raise KeyError(name + TILTED)
+    return found
+
+
 DEFAULT_MODEL = "opencv5"  # of a lens of which nothing is known
 WIDE_MODEL = "kannala_brandt4"  # holds narrow and wide lenses alike
 
@@ -48,8 +66,9 @@ def model_named(name: str) -> CameraModel:
     if name in MODELS:
         return MODELS[name]
     aliases = {alias: model for model in MODELS.values() for alias in model.aliases}
-    if name in aliases:
-        return aliases[name]
+    base = name.removesuffix(TILTED)
+    if base in aliases and (known := aliases[base].name + name[len(base) :]) in MODELS:
+        return MODELS[known]
     near = nearest(name, [*MODELS, *aliases])
     hint = f"did you mean {near!r}?" if near else f"use one of {', '.join(MODELS)}"
     raise InvalidInput(f"lens model {name!r} is unknown; {hint}")
@@ -65,4 +84,5 @@ def model_of(name: str, configuration: object = None) -> CameraModel:
 def help_line() -> str:
     """Return the lens models that cameras are calibrated with, as the help of a command names them."""
     lenses = [model for model in MODELS.values() if not model.is_view]
-    return ", ".join(f"{model.name} ({', '.join(model.aliases)})" if model.aliases else model.name for model in lenses)
+    names = [f"{model.name} ({', '.join(model.aliases)})" if model.aliases else model.name for model in lenses]
+    return f"{', '.join(names)}; add {TILTED} for a tilted sensor"
