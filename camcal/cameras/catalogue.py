@@ -1,7 +1,6 @@
 """The lens models by name. A new model adds a file, whose MODELS it is among, and its name to the line of that file."""
 
 from collections.abc import Iterator, Mapping
-from functools import cache
 from importlib import import_module
 
 from camcal.cameras.lens import CameraModel
@@ -33,7 +32,9 @@ class _Models(Mapping[str, CameraModel]):
 
     def __getitem__(self, name: str) -> CameraModel:
         if name not in self.files and name.endswith(TILTED):
-            return _tilted(name.removesuffix(TILTED))
+            lens = self[name.removesuffix(TILTED)]
+            if isinstance(lens, PlaneModel) and lens.tilted is not None:
+                return lens.tilted
         models: tuple[CameraModel, ...] = import_module(f"camcal.cameras.{self.files[name]}").MODELS
         return next(model for model in models if model.name == name)
 
@@ -45,17 +46,6 @@ class _Models(Mapping[str, CameraModel]):
 
 
 MODELS = _Models()
-
-
-@cache  # there is one of each model
-def _tilted(name: str) -> CameraModel:
-    """Return the lens of a name on a tilted sensor; raises KeyError where there is none."""
-    lens = MODELS[name]
-    found = lens.tilted() if isinstance(lens, PlaneModel) else None
-    if found is None:
-        raise KeyError(name + TILTED)
-    return found
-
 
 DEFAULT_MODEL = "opencv5"  # of a lens of which nothing is known
 WIDE_MODEL = "kannala_brandt4"  # holds narrow and wide lenses alike

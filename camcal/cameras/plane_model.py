@@ -116,9 +116,10 @@ class PlaneModel(ABC):
             raise InvalidInput(f"model {self.name!r} has no configuration; leave it out")
         return self
 
+    @cached_property
     def tilted(self) -> Self | None:
-        """Return this lens on a tilted sensor, whose two angles follow its coefficients; None where that is no other
-        lens, or the sensor is sheared already.
+        """This lens on a tilted sensor, whose two angles follow its coefficients; None where that is no other lens, or
+        the sensor is sheared already.
         """
         if self.is_view or self.configuration or self._roles.tilt or self._roles.shear:
             return None

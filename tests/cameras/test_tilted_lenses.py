@@ -82,7 +82,7 @@ def test_a_camera_file_has_a_tilted_lens_and_other_formats_refuse_it_with_the_wa
         prepared(file, FORMATS["kalibr"], "x")
     text = (tmp_path / "camera.yaml").read_text().replace("double_sphere_tilted", "opencv14_tilted")
     (tmp_path / "wrong.yaml").write_text(text)
-    with pytest.raises(InvalidInput, match="unknown model 'opencv14_tilted'. Did you mean"):
+    with pytest.raises(InvalidInput, match=r"unknown model 'opencv14_tilted'\. Did you mean"):
         native.read(tmp_path / "wrong.yaml")
 
 
