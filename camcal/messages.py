@@ -69,6 +69,11 @@ CODES: Mapping[str, Mapping[str, str]] = {
         "same_images": "two cameras have the same images",
         "left_right_swapped": "the camera called left is the right one",
         "unlinked_camera": "no capture links a camera to the others, or it could not be calibrated",
+        "unlinked_boards": "no capture and no motion links boards that are joined",
+        "undetermined_motion": "the motion that links cameras or boards leaves open how they stand to each other",
+        "boards_not_joined": "boards that count as joined move against each other",
+        "relation_contradicted": "a given relation of boards contradicts the captures",
+        "distance_contradicted": "a measured distance contradicts the captures and the other distances",
         "exposure_motion": "the board moved between the exposures of a capture",
     },
     "Calibration": {

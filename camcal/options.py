@@ -116,7 +116,8 @@ class Option:
     long one first, as '--output -o' or '--landscape/--portrait'; by default that of the field. type: by default that
     of the field. values: so many texts make one value. least, most: of the field's value. suggested: beginnings that a
     shell completes. recorded: whether it belongs to the command that a result records; what changes no number does not.
-    required: on a command line, although the field has a default. written: of an option for an output.
+    required: on a command line, although the field has a default. written: of an option for an output. several: whether
+    it can be given more than once, as one of a tuple of texts always can.
     """
 
     help: str | Callable[[], str]
@@ -132,6 +133,7 @@ class Option:
     recorded: bool = True
     required: bool = False
     written: Written | None = None
+    several: bool = False
 
 
 @dataclass(frozen=True)
@@ -323,7 +325,8 @@ def _declared(record: type, above: tuple[str, ...]) -> Iterator[Declared]:
         options = [note for note in notes if isinstance(note, Option)]
         if options:
             default = field.default if field.default_factory is MISSING else field.default_factory()
-            several = get_origin(plain) is tuple and options[0].type is None and options[0].values == 1
+            texts = get_origin(plain) is tuple and options[0].type is None and options[0].values == 1
+            several = options[0].several or texts
             each = Declared(path, options[0], _type_of(plain, options[0]), default, several)
             if each.type is PATH and options[0].group == OUTPUT and options[0].written is None:
                 raise TypeError(f"{each.name}: the option of an output has to say what is written")

@@ -160,7 +160,7 @@ def calibrate(
 ) -> Calibration:
     """Return the camera that saw a board in `detections`; start: as of `solve`, which says what is raised."""
     found = solve(detections, board, options, start)
-    covariances = _pose_covariances(found.fit)
+    covariances = pose_covariances(found.fit)
     return record(found, covariances, between_views(found.fit.estimates, found.images))
 
 
@@ -240,7 +240,7 @@ def compare_models(
                     groups = two_cameras(brief, solved.images, size, own.shape, own.named_groups, by_lens=mixed)
                     solved = replace(solved, cameras=groups)
                 _require_plausible(fit, solved.images, own, len(detections), solved.cameras)
-                found = record(solved, _pose_covariances(fit), BetweenViews())
+                found = record(solved, pose_covariances(fit), BetweenViews())
                 result.append(replace(candidate, calibration=found))
                 plausible = plausible or fit
             except InsufficientData as error:
@@ -348,10 +348,10 @@ def _kept(problem: BoardProblem, residuals: Array) -> Array:
     return np.asarray((problem.observations.weights >= REJECTED) & np.isfinite(residuals).all(axis=0))
 
 
-def record(solved: Solved, pose_covariances: Array, between: BetweenViews) -> Calibration:
+def record(solved: Solved, covariances: Array, between: BetweenViews) -> Calibration:
     """Return the record of a solution; raises InsufficientData where it leaves the focal length open.
 
-    pose_covariances: (V, 6, 6) of the views that are used.
+    covariances: (V, 6, 6) of the poses of the views that are used.
     """
     result, detections, reasons, size = solved.fit, solved.detections, list(solved.reasons), solved.size
     problem, state, plain = result.problem, result.state, result.plain
@@ -367,7 +367,7 @@ def record(solved: Solved, pose_covariances: Array, between: BetweenViews) -> Ca
         result,
         detections,
         reasons=reasons,
-        covariances=pose_covariances,
+        covariances=covariances,
         residuals=residuals,
         kept=kept,
         medians=medians,
@@ -394,7 +394,7 @@ def record(solved: Solved, pose_covariances: Array, between: BetweenViews) -> Ca
     )
 
 
-def _pose_covariances(result: CalibrationFit) -> Array:
-    """Return the covariances (V, 6, 6) of the poses: weighted means over the estimates, each under the lens's own."""
+def pose_covariances(result: CalibrationFit) -> Array:
+    """Return the covariances (V, 6, 6) of a camera's poses: means over the estimates, each under the lens's own."""
     own = [estimate.factors.group_covariances(POSE, result.covariance) for estimate in result.estimates]
     return np.asarray(np.tensordot(result.weights, np.stack(own), axes=1))

@@ -148,7 +148,7 @@ def _scatter(estimates: Sequence[Solution], left_out: Sequence[Array], weights: 
     moved = np.einsum("ga,agi->gi", others, np.stack(left_out))
     shared = np.array([own.problem.shared_values(own.state) for own in estimates])
     apart = shared - weights @ shared
-    priors = [own.posterior.shared @ own.problem.prior_precision() @ own.posterior.shared for own in estimates]
+    priors = [own.posterior.shared @ own.problem.prior_precision(own.state) @ own.posterior.shared for own in estimates]
     total = moved.T @ moved + (weights * apart.T) @ apart
     return np.asarray(total + np.tensordot(weights, np.stack(priors), axes=1))
 

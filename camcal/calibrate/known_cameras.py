@@ -114,7 +114,7 @@ def examine(known: Sequence[KnownCamera], poses: Sequence[Pose], board: KnownBoa
         found = full if full.converged else found
     end = found.problem.board_start
     precision = np.linalg.inv(found.factors.shared_covariance()[:end, :end])
-    information = precision - found.problem.prior_precision()[:end, :end]
+    information = precision - found.problem.prior_precision(found.state)[:end, :end]
     return NewViews(
         (information + information.T) / 2,
         precision @ found.problem.change(start, found.state),

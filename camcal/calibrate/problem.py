@@ -104,7 +104,8 @@ class BoardProblem:
         return len(self.observations.ids), POSE
 
     @cached_property
-    def _basis(self) -> Array:
+    def shape_basis(self) -> Array:
+        """The displacement (C, 3, S) of the board's points by the terms of its shape."""
         return basis(self.board, self.terms)
 
     @cached_property
@@ -118,7 +119,7 @@ class BoardProblem:
         """Return the free lens parameters and the terms of the board's shape (D,) of a state."""
         return np.concatenate([state.parameters[self.free], state.shape])
 
-    def prior_precision(self) -> Array:
+    def prior_precision(self, _: State) -> Array:
         """Return the precision (D, D) of the priors of the same parameters."""
         lens = np.zeros(len(self.free)) if self.lens_spread is None else self.lens_spread[self.free] ** -2.0
         terms = np.zeros(len(self.terms)) if self.term_std is None else self.term_std**-2.0
@@ -127,7 +128,7 @@ class BoardProblem:
     def board_points(self, state: State) -> Array:
         """Return the points (C, 3) of the board as the state has it."""
         known = self.board.points() if self.points is None else self.points
-        return np.asarray(known + self._basis @ state.shape + state.offsets)
+        return np.asarray(known + self.shape_basis @ state.shape + state.offsets)
 
     def within_domain(self, state: State) -> "BoardProblem":
         """Return the problem without the points that the lens cannot take at this state."""
@@ -251,7 +252,7 @@ class BoardProblem:
             values = np.zeros((2, len(self.terms), *views))
             for index in range(len(self.terms)):
                 for axis in range(3):
-                    displacement = self._basis[:, axis, index]
+                    displacement = self.shape_basis[:, axis, index]
                     if displacement.any():
                         values[:, index] += axes[axis] * displacement[self.observations.ids]
             columns = np.arange(start, start + len(self.terms))

@@ -27,10 +27,12 @@ from camcal.targets.board import (
     IN_PLANE,
     OUT_OF_PLANE,
     RATIOS,
-    TERMS,
+    SCALE,
     Surface,
+    bare_term,
     basis,
     scale_unit,
+    terms_of,
 )
 
 _POINTS, _REACH = 65, 4.0  # of the grid of scales, and how many standard deviations of their logarithm it holds
@@ -38,6 +40,7 @@ _WITHIN = np.linspace(-_REACH, _REACH, _POINTS)
 # logarithms of τ over the median, among which the effective scale is searched for, and in how many parts of each step
 _COARSE, _PARTS = np.linspace(-14.0, 6.0, 21), 20
 
+SCALE_STD = 0.01  # of a board whose size is measured, about the size that it is given with
 _NARROWEST = 1e-4  # of a class's median: a prior this narrow leaves nothing of it
 _AXES = {IN_PLANE: (0, 1), OUT_OF_PLANE: (2,)}
 
@@ -140,8 +143,9 @@ def scales_towards(scales: Mapping[str, Scale], others: Mapping[str, Scale], sha
 def with_terms(problem: BoardProblem, state: State) -> tuple[BoardProblem, State]:
     """Return problem and state with every term of the board's shape; known coefficients are kept."""
     known = dict(zip(problem.terms, state.shape, strict=True))
-    shape = np.array([known.get(term, 0.0) for term in TERMS])
-    return replace(problem, terms=TERMS), replace(state, shape=shape)
+    terms = (*terms_of(problem.board), *(term for term in known if bare_term(term) == SCALE))
+    shape = np.array([known.get(term, 0.0) for term in terms])
+    return replace(problem, terms=terms), replace(state, shape=shape)
 
 
 def with_priors(problem: BoardProblem, scales: Mapping[str, Scale]) -> BoardProblem:
@@ -151,10 +155,13 @@ def with_priors(problem: BoardProblem, scales: Mapping[str, Scale]) -> BoardProb
     if problem.board_known:
         return problem
     if problem.terms:
+        class_of = {term: name for name, own in CLASSES.items() for term in own.terms}
+        bare = map(bare_term, problem.terms)
         stds = [
-            _std(scales[name], own.median) * scale_unit(problem.board, term)
-            for name, own in CLASSES.items()
-            for term in own.terms
+            SCALE_STD
+            if term == SCALE
+            else _std(scales[class_of[term]], CLASSES[class_of[term]].median) * scale_unit(problem.board, term)
+            for term in bare
         ]
         problem = replace(problem, term_std=np.array(stds))
     if problem.offsets:
@@ -212,8 +219,10 @@ def board_scales(problem: BoardProblem, state: State, factors: Factors, start: i
     classes: dict[str, tuple[float, Array]] = {}  # the unit of its coefficients, and their places
     if problem.terms:
         for name, own in CLASSES.items():
-            classes[name] = scale_unit(problem.board, own.terms[0]), start + np.arange(len(own.terms))
-            start += len(own.terms)
+            members = [place for place, term in enumerate(problem.terms) if bare_term(term) in own.terms]
+            if members:
+                classes[name] = scale_unit(problem.board, own.terms[0]), start + np.array(members)
+        start += len(problem.terms)
     if problem.offsets:
         side = max(problem.board.extent)
         for name, axes in _AXES.items():
@@ -245,9 +254,9 @@ def hold_to_print(
     but no narrower than the class's median, as boards that have none of it are no reason to claim more.
     """
     step, names = np.zeros(len(covariance)), list(terms)
-    for term in (term for term in RATIOS if term in terms):
+    for term in (term for ratio in RATIOS for term in terms if bare_term(term) == ratio):
         place = names.index(term) - len(names)
-        own = next(own for own in CLASSES.values() if term in own.terms)
+        own = next(own for own in CLASSES.values() if bare_term(term) in own.terms)
         value, variance = terms[term] + step[place], covariance[place, place]
         scale = scale_of(np.array([1 / variance]), np.array([value / variance]), own.median, own.spread)
         gain = covariance[place] / (variance + max(scale.effective, own.median) ** 2)  # wider where views are sure
@@ -315,9 +324,13 @@ def surface_of(problem: BoardProblem, state: State, scales: Mapping[str, Scale],
 
 def _over_plane(problem: BoardProblem, heights: Array) -> Array:
     """Return heights of the points (C,) or (C, n) over the plane that fits them best: a pose can take it."""
-    drawn = problem.board.points()
-    plane = np.column_stack([np.ones(problem.board.count), drawn[:, :2] / problem.board.spacing])
-    return np.asarray(heights - plane @ np.linalg.lstsq(plane, heights, rcond=None)[0])
+    left, start = [], 0
+    for member in problem.board.members.values():
+        own = heights[start : start + member.count]
+        plane = np.column_stack([np.ones(member.count), member.points()[:, :2] / member.spacing])
+        left.append(own - plane @ np.linalg.lstsq(plane, own, rcond=None)[0])
+        start += member.count
+    return np.concatenate(left)
 
 
 @dataclass(frozen=True, eq=False)

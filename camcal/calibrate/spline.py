@@ -210,7 +210,7 @@ def _normal(problem: BoardProblem, state: State) -> Normal:
     for matrix, block in zip(matrices, blocks, strict=True):
         rows = reduced[block].reshape(-1, reduced.shape[2])
         matrix[:] = equations.group_products[block].sum(axis=0) - rows.T @ rows
-    prior = problem.prior_precision()
+    prior = problem.prior_precision(state)
     whole = matrices.sum(axis=0) + prior
     modes = np.arange(model.first_mode, len(problem.free))
     others = np.setdiff1d(np.arange(len(whole)), modes)

@@ -21,7 +21,7 @@ class View(Brief):
     """What became of one image. reason: why it is not used, None if it is; rejected: whether that is because it
     does not fit the others. symmetry: the symmetry of the board (see Board.symmetries) by which its ids were exchanged.
     rms_px is over the kept corners, per point. sha256: of the file, where it was read, or of a frame's gray
-    levels.
+    levels. body: the name of the board, where there are several.
     """
 
     image: str
@@ -34,6 +34,7 @@ class View(Brief):
     reason: str | None = None
     rejected: bool = False
     sha256: str | None = None
+    body: str = ""
 
     @property
     def used(self) -> bool:
@@ -72,7 +73,15 @@ def view_records(
     views, row = [], 0
     for detection, reason in zip(detections, reasons, strict=True):
         if reason is not None:
-            views.append(View(detection.image, len(detection.ids), reason=reason, sha256=detection.sha256))
+            views.append(
+                View(
+                    detection.image,
+                    len(detection.ids),
+                    reason=reason,
+                    sha256=detection.sha256,
+                    body=detection.body,
+                )
+            )
             continue
         count = int(kept[row].sum())
         view = View(
@@ -84,6 +93,7 @@ def view_records(
             pose_covariance=readonly(covariances[row], (6, 6), "pose covariance"),
             symmetry=int(result.turns[row]),
             sha256=detection.sha256,
+            body=detection.body,
         )
         if not count:
             words = _misfit_words(float(medians[row]), median_limit(result.plain.noise))

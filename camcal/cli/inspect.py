@@ -155,12 +155,16 @@ def _show(inspection: "Inspection", options: InspectOptions, verbose: bool) -> N
 def _show_rig(rig: "RigInspection") -> None:
     from camcal.quality.rig_geometry import DISPARITY_PX
     from camcal.report.rig import DEPTH_COLUMNS, PAIR_COLUMNS, depth_rows, pair_rows
+    from camcal.tasks.rigs.inspect_rig import path_words
 
     show.table("pairs of cameras (vergence: + converging)", PAIR_COLUMNS, pair_rows(rig.pairs))
     for pair in rig.pairs:
         title = f"depth error of {pair.first}, {pair.second} (1 sigma; matching: {DISPARITY_PX:g} px of disparity)"
         if rows := depth_rows(pair):
             show.table(title, DEPTH_COLUMNS, rows)
+    for pair, path in zip(rig.pairs, rig.paths, strict=False):
+        if path:
+            show.text(f"most certain path: {path_words(path, pair.first)}")
     if isinstance(error := rig.measured.get("epipolar_rms_px"), float):
         show.text(f"Epipolar error of the calibration images {error:.3f} px RMS")
 

@@ -11,6 +11,8 @@ legacy: false                # optional: the pattern of OpenCV before 4.6; left 
 Each type of board has a size (columns, rows), a length that gives the scale, such as square_mm, and may have a second
 length, which can be given as a ratio of the first instead.
 
+Several boards are in one file under their names, boards: {a: {type: …}, b: {type: …}}.
+
 The target file of Kalibr is the board of its calibrations, as YAML:
 
 target_type: aprilgrid       # or checkerboard, circlegrid
@@ -40,6 +42,7 @@ from camcal.formats import documents, emit
 from camcal.formats.documents import Check, Fault
 from camcal.formats.schema import flag, integer, items, mapping, number, one_of, text, unchecked
 from camcal.targets.board import Board, parse_board
+from camcal.targets.board_set import BoardSet, board_set
 from camcal.targets.board_types import (
     APRILGRID,
     ASYMMETRIC_CIRCLES,
@@ -74,6 +77,7 @@ _CHECKS = {
 }
 
 SUFFIXES = (".yaml", ".yml", ".json", ".xml")
+_SEVERAL = "boards"
 SPACING = "spacing_ratio"  # of an AprilGrid: the gap between two tags as a share of a tag's side
 
 Data = Mapping[str, Any]
@@ -203,8 +207,23 @@ def _of_opencv(content: str, where: str) -> Board:
     return Board(kind, columns - border, rows - border, **fields)
 
 
+def _check_several(data: Any, path: str) -> Iterator[Fault]:
+    """Check that plain data is several boards."""
+    faults = list(mapping({_SEVERAL: mapping({}, others=check)})(data, path))
+    faults += [Fault(path, "give two boards or more, each under its name")] * (not faults and len(data[_SEVERAL]) < 2)
+    if not faults:
+        try:
+            from_block(data)
+        except InvalidInput as error:
+            faults.append(Fault(path, error.message))
+    yield from faults
+
+
 def check(data: Any, path: str) -> Iterator[Fault]:
-    """Check that plain data is a board."""
+    """Check that plain data is a board, or several."""
+    if isinstance(data, dict) and _SEVERAL in data:
+        yield from _check_several(data, path)
+        return
     kind = data.get("type") if isinstance(data, dict) else None
     if not isinstance(kind, str) or kind not in BOARD_TYPES:
         yield from mapping({"type": one_of(tuple(BOARD_TYPES), "board type")}, others=unchecked)(data, path)
@@ -290,7 +309,9 @@ def _parts(keys: BoardKeys) -> tuple[str, ...]:
 
 
 def from_block(data: Data) -> Board:
-    """Return the board of plain data that has passed the checks."""
+    """Return the board of plain data that has passed the checks; several as one."""
+    if _SEVERAL in data:
+        return board_set({name: from_block(own) for name, own in data[_SEVERAL].items()})
     keys, border = BOARD_KEYS[data["type"]], BOARD_TYPES[data["type"]].border
     columns, rows = data[keys.size]
     fields = {name: data[key] for name, (key, _) in {**keys.required, **keys.optional}.items() if key in data}
@@ -313,7 +334,9 @@ def _part(data: Data, name: str, scale: float | None) -> float | None:
 
 
 def block(board: Board) -> dict[str, Any]:
-    """Return a board as plain data with the keys of a board file."""
+    """Return a board as plain data with the keys of a board file; several under their names."""
+    if isinstance(board, BoardSet):
+        return {_SEVERAL: {name: block(member) for name, member in board.members.items()}}
     keys, border = BOARD_KEYS[board.type], BOARD_TYPES[board.type].border
     data: dict[str, Any] = {"type": board.type, keys.size: [board.columns + border, board.rows + border]}
     if board.square is not None:

@@ -142,7 +142,8 @@ class JointCovariance:
 
 @dataclass(frozen=True, eq=False)
 class CameraFile(Brief):
-    """A camera file. transforms: by their names a_T_b. provenance, converted_from: plain data, never interpreted.
+    """A camera file. transforms: by their names a_T_b. boards: several of them, by their names; they may stand in
+    transforms. provenance, converted_from: plain data, never interpreted.
 
     warnings: what is implausible in the file, or untrustworthy; they are not written.
     """
@@ -151,6 +152,7 @@ class CameraFile(Brief):
     transforms: Mapping[str, Transform] = field(default_factory=dict)
     joint_covariance: JointCovariance | None = None
     board_shape: Surface | None = None
+    boards: Mapping[str, Surface] = field(default_factory=dict)
     provenance: Mapping[str, object] = field(default_factory=dict)
     converted_from: Mapping[str, object] = field(default_factory=dict)
     extra: Mapping[str, object] = field(default_factory=dict)

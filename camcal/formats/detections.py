@@ -10,9 +10,11 @@ write by hand or from another tool.
 The first line may be left out. The columns may stand in any order; camera, orientation (the EXIF tag) and suu, suv,
 svv (covariance, px²) may be added. id = row · columns + column of the inner corner; pixel (0, 0) is the centre of the
 top-left pixel. A '# none' line keeps an image that yielded nothing in its place: image, width, height, reason, then
-camera and orientation where they are known. A '# image_circle' line says which disc of the image the lens lights:
-width and height of the image, u and v of the centre, radius, pixels, then camera where it is known. Numbers are written
-so that they are read back bit for bit.
+camera and orientation where they are known.
+Of several boards the first line names each, board:a=chessboard:9x6:25mm board:b=…; the column board says which one a
+row is of, and ids are those of that board. A '# image_circle' line says which disc of the image the lens lights: width
+and height of the image, u and v of the centre, radius, pixels, then camera where it is known. Numbers are written so
+that they are read back bit for bit.
 """
 
 from collections.abc import Iterator, Sequence
@@ -28,12 +30,11 @@ from camcal.arrays import Array
 from camcal.cameras.validity import ImageCircle
 from camcal.errors import InvalidInput, Located
 from camcal.formats import corner_lists, emit, vnl
-from camcal.formats.boards import short_form
+from camcal.formats.detections_text import CIRCLE, COLUMNS, MAGIC, NONE, OPTIONAL, VERSION, csv_text
 from camcal.formats.tables import (
     COVARIANCE,
     Lines,
     Table,
-    cell,
     csv_rows,
     far_outside,
     iterate_lines,
@@ -41,20 +42,15 @@ from camcal.formats.tables import (
 )
 from camcal.parsing import parse_integer
 from camcal.targets.board import Board, parse_board
+from camcal.targets.board_set import BoardSet, board_set
 from camcal.targets.detection import BoardDetection, Detections
 
-MAGIC = "# camcal-detections"
-VERSION = "1"
-NONE = "# none "
-CIRCLE = "# image_circle "
-COLUMNS = ("image", "width", "height", "id", "u", "v")
-OPTIONAL = ("camera", "orientation", *COVARIANCE)
 MAX_COUNT = 1_000_000
 MAX_SIDE = 1_000_000
 _BLOCK = 2000  # rows that are held as text at a time; as cells, one takes a kilobyte
 
 Placed = tuple[int, BoardDetection]  # with the line on which the file first names the image
-Keys = dict[tuple[str, str], int]  # the number of each view by its camera and image
+Keys = dict[tuple[str, str, str], int]  # the number of each view by its camera, image and board
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,23 +144,27 @@ def _board(path: str, first: str, given: Board | None) -> Board | None:
     if version != VERSION:
         raise InvalidInput(f"detections of version {version!r}; this camcal reads {VERSION}", where=f"{path}:1")
     words = dict(word.partition("=")[::2] for word in rest)
-    named = _named_board(path, words) if "board" in words else None
+    named = _named_board(path, words, "") if "board" in words else None
+    several = [word.removeprefix("board:") for word in words if word.startswith("board:")]
+    if several:
+        with Located(f"{path}:1"):
+            named = board_set({name: _named_board(path, words, f":{name}") for name in several})
     if given and named and _numbering(given) != _numbering(named):
         message = f"the points are those of another board ({named.words}) than given ({given.words})"
         raise InvalidInput(message, where=f"{path}:1")
     return given or named
 
 
-def _numbering(board: Board) -> tuple[str, int, int]:
+def _numbering(board: Board) -> list[tuple[str, str, int, int]]:
     """Return what determines the numbering: a chessboard, a ChArUco board and a grid of circles do it alike."""
-    return "grid" if board.has_grid else board.type, board.columns, board.rows
+    return [(name, "grid" if own.has_grid else own.type, own.columns, own.rows) for name, own in board.members.items()]
 
 
-def _named_board(path: str, words: dict[str, str]) -> Board:
+def _named_board(path: str, words: dict[str, str], name: str) -> Board:
     with Located(f"{path}:1"):
-        board = parse_board(words["board"])
+        board = parse_board(words[f"board{name}"])
         try:
-            return replace(board, first_marker=parse_integer(words.get("first_marker_id", "0")))
+            return replace(board, first_marker=parse_integer(words.get(f"first_marker_id{name}", "0")))
         except ValueError as error:
             raise InvalidInput("first_marker_id is not a whole number") from error
 
@@ -231,19 +231,22 @@ def _views(path: str, tables: Iterator[Table], board: Board | None) -> list[Plac
                 _covariance_of_view(path, rows, group),
                 camera,
                 orientation=int(rows.orientations[group[0], 0]),
+                body=body,
             ),
         )
-        for (camera, image), group in zip(names, groups, strict=True)
+        for (camera, image, body), group in zip(names, groups, strict=True)
     ]
 
 
 def _rows_of(table: Table, board: Board | None, keys: Keys) -> _Rows:
     """Return the rows of a table; the views that it names first are added to `keys`."""
-    images, cameras = table.columns["image"], table.columns.get("camera", [""] * len(table))
+    images, nameless = table.columns["image"], [""] * len(table)
+    cameras, bodies = (table.columns.get(name, nameless) for name in ("camera", "board"))
+    triples = zip(cameras, images, bodies, strict=True)
     rows = _Rows(
         np.array(table.lines, dtype=np.int64),
-        np.array([keys.setdefault(key, len(keys)) for key in zip(cameras, images, strict=True)], dtype=np.int64),
-        table.integers("id", 0, (board.count if board else MAX_COUNT) - 1),
+        np.array([keys.setdefault(key, len(keys)) for key in triples], dtype=np.int64),
+        _ids(table, board, bodies),
         np.column_stack([table.numbers("u"), table.numbers("v")]),
         _sizes(table),
         _orientations(table),
@@ -253,7 +256,20 @@ def _rows_of(table: Table, board: Board | None, keys: Keys) -> _Rows:
     return rows
 
 
-def _refuse_repeated_ids(path: str, rows: _Rows, names: Sequence[tuple[str, str]]) -> None:
+def _ids(table: Table, board: Board | None, bodies: Sequence[str]) -> Array:
+    """Return the ids (N,) of rows, of several boards those among the points of all."""
+    if not isinstance(board, BoardSet):
+        return table.integers("id", 0, (board.count if board else MAX_COUNT) - 1)
+    places = {name: place for place, name in enumerate(board.names)}
+    place = np.array([places.get(name, -1) for name in bodies], np.intp)
+    table.refuse(place < 0, lambda row: f"board {bodies[row]!r} is none of {', '.join(board.names)}")
+    ids = table.integers("id", 0, MAX_COUNT - 1)
+    counts = np.array([own.count for own in board.boards])[place]
+    table.refuse(ids >= counts, lambda row: f"id {ids[row]}: board {bodies[row]} has the ids 0 to {counts[row] - 1}")
+    return np.asarray(ids + np.array(board.starts)[place])
+
+
+def _refuse_repeated_ids(path: str, rows: _Rows, names: Sequence[tuple[str, str, str]]) -> None:
     order = np.lexsort((rows.ids, rows.views))
     repeated = np.zeros(len(order), dtype=bool)
     repeated[order[1:]] = (np.diff(rows.ids[order]) == 0) & (np.diff(rows.views[order]) == 0)
@@ -273,7 +289,7 @@ def _orientations(table: Table) -> Array:
 
 
 def _refuse_changes(
-    path: str, what: str, rows: _Rows, values: Array, first: Array, names: Sequence[tuple[str, str]]
+    path: str, what: str, rows: _Rows, values: Array, first: Array, names: Sequence[tuple[str, str, str]]
 ) -> None:
     """Raise InvalidInput unless all rows of a view have the values (N, K) of its first row."""
     before = first[rows.views]
@@ -326,9 +342,9 @@ def _covariance_of_view(path: str, rows: _Rows, group: Array) -> Array | None:
 
 
 def _refuse_repeats(path: str, views: Sequence[Placed]) -> None:
-    lines: dict[tuple[str, str], int] = {}
+    lines: dict[tuple[str, str, str], int] = {}
     for line, view in views:
-        first = lines.setdefault((view.camera, view.image), line)
+        first = lines.setdefault((view.camera, view.image, view.body), line)
         if first != line:
             raise InvalidInput(f"image {view.image!r} is already named at line {first}", where=f"{path}:{line}")
 
@@ -340,51 +356,3 @@ def _refuse_long(path: str, views: Sequence[Placed]) -> None:
             if (length := len(files.utf8(text))) > emit.MAX_TEXT:
                 message = f"{text[:40]}… has {length} bytes; a camera file holds texts of at most {emit.MAX_TEXT}"
                 raise InvalidInput(message, where=f"{path}:{line}")
-
-
-def csv_text(detections: Detections) -> str:
-    """Return the text of a CSV file, without empty columns."""
-    views = detections.views
-    cameras = any(view.camera for view in views)
-    turned = any(view.orientation != 1 for view in views)
-    measured = any(view.covariance is not None for view in views)
-    names = [*COLUMNS, *["camera"] * cameras, *["orientation"] * turned, *(COVARIANCE if measured else ())]
-    circles = [_circle_line(camera, circle) for camera, circle in detections.circles.items()]
-    lines = [_first_line(detections.board), *circles, ",".join(names)]
-    for view in views:
-        tail = f",{cell(view.camera)}" * cameras + f",{view.orientation}" * turned
-        lines += _rows(view, tail, measured=measured) if view.found else [_none_line(view)]
-    return "\n".join(lines) + "\n"
-
-
-def _first_line(board: Board | None) -> str:
-    if board is None:
-        return f"{MAGIC} {VERSION}"
-    marker = f" first_marker_id={board.first_marker}" if board.first_marker else ""
-    return f"{MAGIC} {VERSION} board={short_form(replace(board, first_marker=0))}{marker}"
-
-
-def _circle_line(camera: str, circle: ImageCircle) -> str:
-    numbers = ",".join(map(repr, (*circle.image_size, *circle.centre, circle.radius)))
-    return CIRCLE + numbers + (f",{cell(camera)}" if camera else "")
-
-
-def _rows(view: BoardDetection, tail: str, *, measured: bool) -> Iterator[str]:
-    start = f"{cell(view.image)},{view.size[0]},{view.size[1]}"
-    points = [f"{start},{i},{u!r},{v!r}{tail}" for i, (u, v) in zip(view.ids, view.pixels.tolist(), strict=True)]
-    if not measured:
-        return iter(points)
-    if view.covariance is None:
-        return (f"{point},,," for point in points)
-    parts = view.covariance[:, [0, 0, 1], [0, 1, 1]].tolist()
-    return (f"{point},{suu!r},{suv!r},{svv!r}" for point, (suu, suv, svv) in zip(points, parts, strict=True))
-
-
-def _none_line(view: BoardDetection) -> str:
-    reason = " ".join((view.reason or "nothing found").split())
-    cells = [cell(view.image), str(view.size[0]), str(view.size[1]), cell(reason)]
-    if view.camera or view.orientation != 1:
-        cells.append(cell(view.camera))
-    if view.orientation != 1:
-        cells.append(str(view.orientation))
-    return NONE + ",".join(cells)

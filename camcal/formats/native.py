@@ -67,6 +67,7 @@ _FILE = mapping(
         "transforms": mapping({}, others=plain),  # the check of transforms needs the cameras' names as well
         "joint_covariance": _JOINT,
         "board_shape": check_board_shape,
+        "boards": mapping({}, others=check_board_shape),
         "provenance": provenance.check,
         "converted_from": mapping(
             {"file": text, "format": text}, {"exact": flag, "refit_rms_px": number(0), "refit_max_px": number(0)}
@@ -99,6 +100,7 @@ def from_document(document: documents.Document, folder: Path) -> CameraFile:
         transforms=_read_transforms(document.get("transforms", {})),
         joint_covariance=_read_joint(document.get("joint_covariance"), folder),
         board_shape=read_board_shape(document["board_shape"], folder) if "board_shape" in document else None,
+        boards={name: read_board_shape(data, folder) for name, data in document.get("boards", {}).items()},
         provenance=document.get("provenance", {}),
         converted_from=document.get("converted_from", {}),
         extra={key: value for key, value in document.items() if key.startswith(VENDOR)},
@@ -134,7 +136,12 @@ def check(data: Any, path: str = "") -> Iterator[Fault]:
         yield Fault("cameras", "no camera; a file has at least one")
     for name in cameras:
         yield from check_name(name, child("cameras", name))
-    yield from _check_transforms(transforms, "transforms", list(cameras))
+    boards = data.get("boards", {})
+    for name in boards if isinstance(boards, dict) else ():
+        yield from check_name(name, child("boards", name))
+        if name in cameras:
+            yield Fault(child("boards", name), f"a camera is called {name!r} as well")
+    yield from _check_transforms(transforms, "transforms", [*cameras, *boards])
     if isinstance(transforms, dict) and not any(_JOINT(joint, "")):
         yield from covariance.check(joint, "joint_covariance", list(_joint_names(cameras, transforms)))
 
@@ -179,6 +186,7 @@ def block(file: CameraFile, path: Path) -> dict[str, Any]:
         "transforms": _transforms_block(file.transforms) or None,
         "joint_covariance": covariance.block(joint.names, joint.matrix, path) if joint else None,
         "board_shape": board_shape_block(file.board_shape, path) if file.board_shape else None,
+        "boards": {name: board_shape_block(surface, path) for name, surface in file.boards.items()} or None,
         "converted_from": file.converted_from or None,
         "provenance": file.provenance or None,
         **file.extra,

@@ -55,7 +55,7 @@ from camcal.formats.schema import (
 )
 from camcal.parsing import did_you_mean, nearest
 from camcal.quality.projection_uncertainty import KnownRegion
-from camcal.targets.board import CLASSES, CORNER_CLASSES, OFFSETS, TERMS, TIERS, Surface
+from camcal.targets.board import CLASSES, CORNER_CLASSES, OFFSETS, SCALE, TERMS, TIERS, Surface
 
 FIGURES = ("rms_px", "mean_px", "median_px", "p95_px", "max_px", "chi2_per_degree")
 COUNTS = ("images_used", "images_total", "points_used", "points_total", "points_rejected")
@@ -89,7 +89,7 @@ _UNCERTAINTY = mapping(
 )
 
 # A key of the file is a plain word.
-KEY_OF_TERM = {term: {"x/y scale": "stretch"}.get(term, term.replace(" ", "_")) for term in TERMS}
+KEY_OF_TERM = {term: {"x/y scale": "stretch"}.get(term, term.replace(" ", "_")) for term in (*TERMS, SCALE)}
 KEY_OF_CLASS = {name: name.replace(" ", "_") for name in (*CLASSES, *CORNER_CLASSES)}
 _TERM_OF_KEY = {key: term for term, key in KEY_OF_TERM.items()}
 _CLASS_OF_KEY = {key: name for name, key in KEY_OF_CLASS.items()}

@@ -1,6 +1,6 @@
 """Transforms and the calibration of a rig as text and as plain data."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -161,17 +161,15 @@ def camera_rows(calibration: RigCalibration) -> list[list[object]]:
 def transform_rows(calibration: RigCalibration) -> list[list[object]]:
     """Return what is listed of every transform under TRANSFORM_COLUMNS; lengths in mm, angles in degrees."""
     rows: list[list[object]] = []
-    for name, pose in calibration.poses.items():
-        if name == calibration.first:
-            continue
-        covariance = calibration.pose_covariance(name)
+    for name, pose in calibration.transforms.items():
+        covariance = calibration.transform_covariance(name)
         length, angle = baseline(pose, covariance), rotation_angle(pose, covariance)
         degree = float(np.degrees(1.0))
         cells = [
             *value_and_std(1e3 * length.value, _times(1e3, length.std)),
             *value_and_std(degree * angle.value, _times(degree, angle.std)),
         ]
-        rows.append([calibration.transform_name(name), *cells])
+        rows.append([name, *cells])
     return rows
 
 
@@ -181,6 +179,9 @@ def lines(calibration: RigCalibration) -> Iterator[str]:
         yield f"Epipolar error {calibration.epipolar_rms_px:.3f} px RMS"
     if calibration.motion is not None:
         yield motion_words(calibration.motion)
+    for name, (scale, std) in calibration.scales.items():
+        value, spread = value_and_std(scale, std)
+        yield f"Board{name and f' {name}'}: {value} ± {spread} times its nominal size, by the measured distances"
     for name, why in calibration.unlinked.items():
         yield f"not linked: {name}: {why}"
 
@@ -222,6 +223,11 @@ def motion_words(motion: ExposureMotion) -> str:
     """Return how far the board moved between the exposures of a capture, in words."""
     median, largest = 1e3 * motion.median, 1e3 * motion.largest
     return f"The board moved {median:.2g} mm (median) between the exposures of a capture, at most {largest:.2g} mm"
+
+
+def scales_data(scales: Mapping[str, tuple[float, float]]) -> dict[str, dict[str, float]]:
+    """Return the scales of boards by their names as plain data."""
+    return {name or "board": {"scale": value, "std": std} for name, (value, std) in scales.items()}
 
 
 def motion_data(motion: ExposureMotion | None) -> dict[str, float] | None:

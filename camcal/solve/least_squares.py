@@ -250,9 +250,13 @@ def _parts(block: Block) -> Iterator[tuple[Block, slice | Array]]:
         yield part_of(block, where), where if block.groups is None else block.groups[where]
 
 
-def part_of(block: Block, runs: slice) -> Block:
+def part_of(block: Block, runs: slice | Array) -> Block:
     """Return some runs of a block; their groups are those of the whole one."""
-    rows = slice(runs.start * block.rows_per_group, runs.stop * block.rows_per_group)
+    length, rows = block.rows_per_group, runs
+    if isinstance(runs, slice):
+        rows = slice(runs.start * length, runs.stop * length)
+    else:
+        rows = (runs[:, None] * length + np.arange(length)).ravel()
     return replace(
         block,
         residuals=block.residuals[rows],
@@ -272,7 +276,7 @@ def _group_columns(block: Block, size: int) -> Array:
     return np.arange(size) if block.group_columns is None else block.group_columns
 
 
-def _rows_of(jacobian: Jacobian, rows: slice) -> Jacobian:
+def _rows_of(jacobian: Jacobian, rows: slice | Array) -> Jacobian:
     columns = jacobian.columns if jacobian.columns.ndim == 1 else jacobian.columns[rows]
     return Jacobian(jacobian.values[rows], columns)
 

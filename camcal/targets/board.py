@@ -139,6 +139,11 @@ class Board(Brief):
         size = f"{self.columns + kind.border}x{self.rows + kind.border}"
         return kind.words.format(size=size) + (" and three dots" if self.dots else "")
 
+    @property
+    def members(self) -> Mapping[str, "Board"]:
+        """The boards that are numbered one after another, by their names: itself alone, without a name."""
+        return {"": self}
+
     def points(self) -> FloatArray:
         """Return the points (count, 3) in `unit`, in the order of their ids, as drawn (z = 0)."""
         return np.column_stack([self._flat(), np.zeros(self.count)])
@@ -300,9 +305,40 @@ class Surface(Brief):
         return np.asarray(points if self.offsets is None else points + self.offsets)
 
 
+SCALE = "scale"  # of a board whose size is measured; its unit of length otherwise
+_MEMBER = ":"  # stands between the name of a board and that of a term, where there are several boards
+
+
+def terms_of(board: Board, terms: tuple[str, ...] = TERMS) -> tuple[str, ...]:
+    """Return the names of terms of each of a board's members, class by class."""
+    classes = [[term for term in own.terms if term in terms] for own in CLASSES.values()]
+    classes.append([term for term in terms if term == SCALE])
+    return tuple(
+        f"{name}{_MEMBER}{term}" if name else term for own in classes for name in board.members for term in own
+    )
+
+
+def bare_term(term: str) -> str:
+    """Return the name of a term without that of its board."""
+    return term.rpartition(_MEMBER)[2]
+
+
 @lru_cache(maxsize=64)
 def basis(board: Board, terms: tuple[str, ...]) -> Array:
-    """Return the displacement (C, 3, S) of every point per unit of every term, read-only."""
+    """Return the displacement (C, 3, S) of every point per unit of every term, read-only.
+
+    A term that names none of several boards is one of each of them.
+    """
+    members = board.members
+    if "" not in members:
+        result, start = np.zeros((board.count, 3, len(terms))), 0
+        for name, member in members.items():
+            own = [index for index, term in enumerate(terms) if term.rpartition(_MEMBER)[0] in ("", name)]
+            rows = slice(start, start + member.count)
+            result[rows, :, own] = basis(member, tuple(bare_term(terms[index]) for index in own))
+            start += member.count
+        result.setflags(write=False)
+        return result
     centred = board.points()[:, :2] - np.array(board.extent) / 2
     x, y = normalised(board).T
     result = np.zeros((board.count, 3, len(terms)))
@@ -315,6 +351,8 @@ def basis(board: Board, terms: tuple[str, ...]) -> Array:
             result[:, 0, index], result[:, 1, index] = centred[:, 0] / 2, -centred[:, 1] / 2
         elif term == "shear":
             result[:, 0, index], result[:, 1, index] = centred[:, 1] / 2, centred[:, 0] / 2
+        elif term == SCALE:
+            result[:, :2, index] = centred
         else:
             degree_x, degree_y = _DEGREES[term]
             result[:, 2, index] = _legendre(degree_x, x) * _legendre(degree_y, y)
@@ -323,9 +361,9 @@ def basis(board: Board, terms: tuple[str, ...]) -> Array:
 
 
 def normalised(board: Board) -> Array:
-    """Return the places (C, 2) of the points, each coordinate over [-1, 1]."""
-    half = np.array(board.extent) / 2
-    return np.asarray((board.points()[:, :2] - half) / half)
+    """Return the places (C, 2) of the points on their boards, each coordinate over [-1, 1]."""
+    halves = [(member.points()[:, :2], np.array(member.extent) / 2) for member in board.members.values()]
+    return np.concatenate([(points - half) / half for points, half in halves])
 
 
 def _legendre(degree: int, values: Array) -> Array:
@@ -336,4 +374,4 @@ def _legendre(degree: int, values: Array) -> Array:
 
 def scale_unit(board: Board, term: str) -> float:
     """Return what the scale of a term's class is a share of: the board's longer side, 1 for ratios."""
-    return 1.0 if term in RATIOS else max(board.extent)
+    return 1.0 if bare_term(term) in RATIOS else max(board.extent)

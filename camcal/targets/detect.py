@@ -66,8 +66,10 @@ def _found(gray: Array, board: Board, seed: int, samples: MaskedImage | None, *,
 
 def require_findable(board: Board, *, partial: bool = False) -> None:
     """Raise InvalidInput for a chessboard that is too small to be found, a dictionary without the board's markers, or
-    a grid of circles of which parts are asked for.
+    a grid of circles of which parts are asked for, and for several boards.
     """
+    if len(board.members) > 1:
+        raise InvalidInput(f"several boards ({', '.join(board.members)}) are for 'camcal rig'; give one of them")
     if board.type == CHARUCO:
         from camcal.targets.checker.charuco import require_markers
 

@@ -44,7 +44,7 @@ from camcal.tasks.rigs.calibrate_rig import calibrated as calibrated_rig
 from camcal.tasks.rigs.matching import Matched
 from camcal.tasks.rigs.options import RigSettings
 from camcal.tasks.rigs.rig_result import RigReport
-from camcal.tasks.rigs.rig_views import RigViews, captured, rig_views
+from camcal.tasks.rigs.rig_views import RigViews, captured_table, rig_views
 from camcal.tasks.stereo.rig_pair import read_rig
 
 File = str | Path
@@ -151,7 +151,9 @@ def calibrate_rig(
             by_camera: dict[str, list[BoardDetection]] = {}
             for view in images.views:
                 by_camera.setdefault(view.camera, []).append(view)
-            seen = replace(captured(table.board, by_camera, options, progress), circles=images.circles, table=True)
+            seen = replace(
+                captured_table(table.board, by_camera, options, progress), circles=images.circles, table=True
+            )
         else:
             inputs = {name: folders.enter_context(_inputs(own, name)) for name, own in images.items()}
             texts = [f"{name}={path}" for name, own in inputs.items() for path in own.paths]

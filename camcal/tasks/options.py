@@ -123,7 +123,7 @@ PictureFormat = Annotated[
 JpegQuality = Annotated[int, Option("JPEG quality.", metavar="1…100", group=OUTPUT, least=1, most=100)]
 
 
-def _board_text(text: str) -> str:
+def board_text(text: str) -> str:
     """Return the text that means a board; raises InvalidInput for a short form that is wrong."""
     from camcal.formats import boards
     from camcal.targets.board import parse_board
@@ -139,7 +139,7 @@ BOARD_OPTION = Option(
     metavar="BOARD",
     group=BOARD,
     names="--board -b",
-    type=ValueType(_board_text, str, "a board"),
+    type=ValueType(board_text, str, "a board"),
     suggested=board_kinds,
 )
 BoardText = Annotated[str | None, BOARD_OPTION]

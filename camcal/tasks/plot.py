@@ -16,7 +16,7 @@ import numpy as np
 from camcal import files
 from camcal.arrays import Array
 from camcal.errors import FileError, InsufficientData, InvalidInput
-from camcal.formats import cameras, detections, disparity, poses, trajectories
+from camcal.formats import cameras, detections, detections_text, disparity, poses, trajectories
 from camcal.formats import series as series_files
 from camcal.formats.documents import Document, load_either
 from camcal.formats.poses import record as plain_poses
@@ -167,7 +167,7 @@ def _unknown(path: Path) -> FileError:
 def _table(path: Path, reference: Path | None) -> Drawable:
     head = files.read_text(path)[:_HEAD]
     first = head.split("\n", 1)[0]
-    if first.startswith(detections.MAGIC) or first.split(",")[:4] == list(detections.COLUMNS[:4]):
+    if first.startswith(detections_text.MAGIC) or first.split(",")[:4] == list(detections_text.COLUMNS[:4]):
         return Drawable(path, "detections", detection_plots(detections.read(path)))
     if first.startswith(f"# {plain_poses.FORMAT} "):
         return Drawable(path, "poses", pose_plots(poses.read(path)))

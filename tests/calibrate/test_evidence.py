@@ -115,7 +115,7 @@ def test_views_and_priors_are_what_the_last_linear_solve_knows():
         assert np.linalg.eigvalsh(parts).min() > -1e-9
         shared = len(own.posterior.shared)
         priors = np.zeros_like(matrix[:shared])
-        priors[:, :shared] = own.problem.prior_precision()
+        priors[:, :shared] = own.problem.prior_precision(own.state)
         np.testing.assert_allclose((matrix / unit - parts.sum(axis=0))[:shared], priors / unit[:shared], atol=1e-9)
 
 

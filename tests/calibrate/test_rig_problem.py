@@ -125,7 +125,9 @@ def separate(problem, state, columns=None):
 def test_equations_of_single_cameras_join_to_those_of_the_rig(offsets):
     problem, state = made(offsets=offsets)
     whole = linearise(problem, state)
-    found = problem.joined(separate(problem, state)[1], [np.zeros(0, np.intp)] * 3, POSE)
+    found = problem.joined(
+        separate(problem, state)[1], [np.zeros((len(own), 0), np.intp) for own in problem.captures], POSE
+    )
     priors = assemble(problem.priors(state), problem.shared, 0, POSE)
     np.testing.assert_allclose(found.group_group, whole.group_group, rtol=1e-9)
     np.testing.assert_allclose(found.group_shared, whole.group_shared, atol=1e-9 * np.abs(whole.group_shared).max())
@@ -133,7 +135,7 @@ def test_equations_of_single_cameras_join_to_those_of_the_rig(offsets):
     np.testing.assert_allclose(shared, whole.shared_shared, atol=1e-12 * np.abs(shared).max())
     np.testing.assert_allclose(found.gradient.shared + priors.gradient.shared, whole.gradient.shared, rtol=1e-7)
     assert found.cost + priors.cost == pytest.approx(whole.cost, rel=1e-12)
-    np.testing.assert_allclose(problem.prior_precision(), priors.shared_shared[: problem.dense, : problem.dense])
+    np.testing.assert_allclose(problem.prior_precision(state), priors.shared_shared[: problem.dense, : problem.dense])
 
 
 def dense(equations):
@@ -153,7 +155,7 @@ def dense(equations):
 def test_degrees_of_freedom_and_pose_covariances_are_those_of_the_whole_matrix(offsets):
     problem, state = made(offsets=offsets)
     blocks, equations = separate(problem, state)
-    whole, empty = linearise(problem, state), [np.full(0, 0, np.intp)] * 3
+    whole, empty = linearise(problem, state), [np.zeros((len(own), 0), np.intp) for own in problem.captures]
     found = part_posteriors(problem, state, factorise(whole), blocks, equations, empty, np.zeros((4, 0)))
     covariance, poses = np.linalg.inv(dense(whole)), 4 * POSE
     for camera, (own, left) in enumerate(zip(equations, found, strict=True)):
@@ -254,13 +256,15 @@ def test_coefficients_of_a_bending_board_are_those_of_the_capture():
 
     effect = np.repeat(np.arange(len(EFFECTS)), [each.columns for each in EFFECTS])
     own = EffectColumns(np.zeros((2, len(effect), 1, 1)), effect)
-    layout = CaptureEffects.of([own, with_motion(own, np.zeros((2, POSE, 1, 1)))])
-    shared = set(layout.slots[0]) & set(layout.slots[1])
+    one = RigProblem((), (np.zeros(1, np.intp),) * 2, 1)
+    layout = CaptureEffects.of([own, with_motion(own, np.zeros((2, POSE, 1, 1)))], one)
+    shared = set(layout.slots[0].ravel()) & set(layout.slots[1].ravel())
     assert len(shared) == EFFECTS[2].columns
     assert {layout.kinds[layout.effect[slot]][0] for slot in shared} == {None}
     assert len(layout.effect) == 2 * len(effect) - len(shared) + POSE
     assert layout.of_kinds(SHIFT, TURN).sum() == POSE
-    assert sorted(np.concatenate(layout.slots).tolist()) == sorted([*range(len(layout.effect)), *shared])
+    places = np.concatenate([slots[0] for slots in layout.slots])
+    assert sorted(places.tolist()) == sorted([*range(len(layout.effect)), *shared])
 
 
 def test_shift_and_turn_have_one_share_and_every_other_effect_has_its_own():
@@ -268,7 +272,8 @@ def test_shift_and_turn_have_one_share_and_every_other_effect_has_its_own():
 
     effect = np.repeat(np.arange(len(EFFECTS)), [each.columns for each in EFFECTS])
     own = EffectColumns(np.zeros((2, len(effect), 1, 1)), effect)
-    layout = CaptureEffects.of([own, with_motion(own, np.zeros((2, POSE, 1, 1)))])
+    one = RigProblem((), (np.zeros(1, np.intp),) * 2, 1)
+    layout = CaptureEffects.of([own, with_motion(own, np.zeros((2, POSE, 1, 1)))], one)
     scales = layout.start(4, (0.1, 0.2), 0.3)
     moving = [KINDS[kind] in (SHIFT, TURN) for _, kind in layout.kinds]
     assert sum(moving) == 2

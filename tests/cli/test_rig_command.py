@@ -121,6 +121,8 @@ def test_the_json_document(run, table, tmp_path):
         "first",
         "cameras",
         "transforms",
+        "links",
+        "scales",
         "epipolar_rms_px",
         "motion",
         "unlinked",

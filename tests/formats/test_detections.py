@@ -223,7 +223,7 @@ def test_a_wrong_row_is_told_with_its_line(tmp_path, rows):
         ("suu,suv,svv", "1,2,1", "d.csv:2: suu, suv, svv are not positive definite"),
         ("suu,suv,svv", "-1,0,-1", "d.csv:2: suu, suv, svv are not positive definite"),
         ("orientation", "9", "d.csv:2: orientation 9 is not in 1 … 8"),
-        ("sigma", "1", "d.csv:1: unknown column 'sigma'; possible here: camera, orientation, suu, suv, svv"),
+        ("sigma", "1", "d.csv:1: unknown column 'sigma'; possible here: camera, board, orientation, suu, suv, svv"),
         ("u", "1", "d.csv:1: column 'u' occurs twice"),
     ],
 )

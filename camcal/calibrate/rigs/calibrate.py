@@ -1,6 +1,6 @@
 """Calibration of the cameras of a rig from captures of a board."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
 from types import MappingProxyType
@@ -11,19 +11,23 @@ from camcal.arrays import Array
 from camcal.calibrate import intrinsics
 from camcal.calibrate.between_views import between_views
 from camcal.calibrate.fit import CalibrationFit
-from camcal.calibrate.intrinsics import Calibration, Solved
+from camcal.calibrate.intrinsics import Calibration, Solved, pose_covariances
 from camcal.calibrate.rigs.effects import SHIFT
 from camcal.calibrate.rigs.epipolar import epipolar_by_capture
-from camcal.calibrate.rigs.fit import RigFit, RigStart, fit_rig, with_other_models
+from camcal.calibrate.rigs.fit import RigFit, fit_rig, with_other_models
 from camcal.calibrate.rigs.links import Link, Placed, composed, link, place
+from camcal.calibrate.rigs.measured import Measured, require_measured
 from camcal.calibrate.rigs.mistakes import Mistakes, RigCamera, mistakes
+from camcal.calibrate.rigs.paths import camera_links
+from camcal.calibrate.rigs.placement import PlacedRig, Rows, groups_of, place_rig
 from camcal.calibrate.rigs.problem import LensPrior
 from camcal.calibrate.rigs.record import FIXED, PRIOR, Captures, ExposureMotion, RigCalibration, RigOptions
+from camcal.calibrate.rigs.start import RigStart
 from camcal.errors import CamcalError, InsufficientData, InvalidInput, NotConverged
 from camcal.geometry.pose import Pose
 from camcal.messages import Message
 from camcal.solve.steps import SingularError
-from camcal.targets.board import Board
+from camcal.targets.board import SCALE, Board, bare_term
 
 _SEEN = 3.0  # times the noise of a corner: motion that is worth a message
 _LEFT_OUT = 0.25  # of a camera's views, which fit no other camera
@@ -40,17 +44,16 @@ def calibrate_rig(captures: Captures, board: Board, options: RigOptions) -> RigC
     if len(captures.cameras) < 2:
         raise InvalidInput("a rig needs two cameras or more")
     cameras = _alone(captures, board, options, options.starts)
-    links = cameras.links(board)
-    found = mistakes(cameras.described(), links, board, captures.names)
+    rows = Rows.of(captures, board, options.bodies)
+    found = _mistakes(cameras, board, rows, captures.names)
     if found.excluded:
         wrong = {(capture, cameras.places[camera]) for capture, camera in found.excluded}
         captures = captures.without(wrong, "inconsistent with the other captures")
         cameras = _alone(captures, board, options)
-        links = cameras.links(board)
-    linked, placed, used = _linked(cameras, links)
-    priors = _priors(options, linked)
+    linked, placed, groups, first = _linked(cameras, board, rows, options)
+    priors, measured = _priors(options, linked), _measured_of(options, placed, rows)
     try:
-        result = fit_rig(linked.starts, placed, len(used), priors, options.motion)
+        result = fit_rig(linked.starts, placed, groups, priors, options.motion, measured)
     except (SingularError, np.linalg.LinAlgError) as error:
         raise InsufficientData(
             "some parameters of the rig are not determined by the captures: add captures with the board tilted, at "
@@ -61,9 +64,12 @@ def calibrate_rig(captures: Captures, board: Board, options: RigOptions) -> RigC
     others = [options.others.get(name) for name in linked.names]
     if any(others):
         result = with_other_models(result, others, [start.solved.size for start in linked.starts])
-    return _record(
-        result, linked, tuple(captures.names[index] for index in used), _left_out(captures, cameras, linked), found
-    )
+    part = result.problem.parts[0]
+    points = part.board_points(result.problem.of_camera(result.state, 0))
+    require_measured(measured, result.state.boards, rows.boards, points, part.shape_basis)
+    found = replace(found, warnings=(*found.warnings, *placed.messages))
+    used = tuple(captures.names[index] for index in first)
+    return _record(result, linked, used, _left_out(captures, cameras, linked), found, placed.roots)
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,6 +98,27 @@ class _Cameras:
             RigCamera(name, start.poses, start.solved.fit.problem, start.solved.fit.state.parameters)
             for name, start in zip(self.names, self.starts, strict=True)
         ]
+
+
+def _mistakes(cameras: _Cameras, board: Board, rows: Rows, names: Sequence[str]) -> Mistakes:
+    """Return the mistakes in the captures of each board, see `mistakes`."""
+    result = Mistakes()
+    for number, member in enumerate(board.members.values()):
+        own = np.flatnonzero(rows.board == number)
+        if not len(own):
+            continue
+        described = [each.within(own) for each in cameras.described()]
+        links = {
+            (a, b): known
+            for a, b in combinations(range(len(described)), 2)
+            if (known := link(described[a].poses, described[b].poses, member)) is not None
+        }
+        found = mistakes(described, links, member, [names[row] for row in own.tolist()])
+        excluded = {(int(own[capture]), camera) for capture, camera in found.excluded}
+        result = Mistakes(
+            (*result.warnings, *found.warnings), (*result.failures, *found.failures), result.excluded | excluded
+        )
+    return result
 
 
 def _alone(
@@ -150,29 +177,45 @@ def _options_of(name: str, options: RigOptions) -> intrinsics.Options:
     )
 
 
-def _linked(cameras: _Cameras, links: Mapping[tuple[int, int], Link]) -> tuple[_Cameras, Placed, Array]:
-    """Return the cameras that are linked, where they are, and the captures that they are used of."""
-    placed = place(links, len(cameras.starts))
-    chosen = sorted(placed.rotations)
+def _linked(
+    cameras: _Cameras, board: Board, rows: Rows, options: RigOptions
+) -> tuple[_Cameras, PlacedRig, tuple[Array, Array, int], Array]:
+    """Return the cameras that are linked, where they and the boards are, the groups of the rows of captures, see
+    `fit_rig`, and the first row of each group.
+    """
+    linked = place(cameras.links(board), len(cameras.starts))
+    poses = [start.poses for start in cameras.starts]
+    placed = place_rig(poses, linked, rows, cameras.names, options.measured.relations)
+    chosen = sorted(placed.cameras.rotations)
     if len(chosen) < 2:
         raise InsufficientData(
             f"no capture shows the board to two of the cameras {', '.join(cameras.names)}: images of one capture "
             "must be taken at the same time and matched; see --match"
+            if len(rows.boards) == 1
+            else f"nothing links the cameras {', '.join(cameras.names)}: no capture shows one board to two of them, or "
+            "boards that are linked; see --match and --joined"
         )
     used = np.unique(np.concatenate([cameras.starts[camera].captures for camera in chosen]))
-    linked = _Cameras(
+    groups, first = groups_of(rows, placed.bodies, used)
+    kept = _Cameras(
         tuple(cameras.names[camera] for camera in chosen),
         tuple(cameras.places[camera] for camera in chosen),
-        tuple(
-            replace(cameras.starts[camera], captures=np.searchsorted(used, cameras.starts[camera].captures))
-            for camera in chosen
-        ),
+        tuple(cameras.starts[camera] for camera in chosen),
     )
-    places = Placed(
-        {new: placed.rotations[old] for new, old in enumerate(chosen)},
-        {new: placed.translations[old] for new, old in enumerate(chosen)},
+    at = Placed(
+        {new: placed.cameras.rotations[old] for new, old in enumerate(chosen)},
+        {new: placed.cameras.translations[old] for new, old in enumerate(chosen)},
     )
-    return linked, places, used
+    return kept, replace(placed, cameras=at), (groups, rows.board, len(first)), first
+
+
+def _measured_of(options: RigOptions, placed: PlacedRig, rows: Rows) -> Measured:
+    """Return what is known of boards; raises InsufficientData for a distance between boards that nothing links."""
+    for each in options.measured.distances:
+        if len({placed.bodies[board] for board in each.boards}) > 1:
+            names = " and ".join(rows.boards[board] for board in each.boards)
+            raise InsufficientData(f"--distance {each.words}: the boards {names} are not linked by captures")
+    return options.measured
 
 
 def _left_out(captures: Captures, cameras: _Cameras, linked: _Cameras) -> dict[str, str]:
@@ -205,7 +248,12 @@ def _priors(options: RigOptions, cameras: _Cameras) -> dict[int, LensPrior]:
 
 
 def _record(
-    result: RigFit, cameras: _Cameras, captures: tuple[str, ...], unlinked: Mapping[str, str], found: Mistakes
+    result: RigFit,
+    cameras: _Cameras,
+    captures: tuple[str, ...],
+    unlinked: Mapping[str, str],
+    found: Mistakes,
+    roots: Sequence[int],
 ) -> RigCalibration:
     problem, names = result.problem, cameras.names
     calibrations = {
@@ -216,7 +264,11 @@ def _record(
         name: Pose(result.state.camera_rotations[camera], result.state.camera_translations[camera])
         for camera, name in enumerate(names)
     }
-    count, motion = problem.board_start, _motion(result)
+    count, motion, members = problem.board_start, _motion(result), tuple(problem.board.members)
+    boards = {
+        f"{members[root]}_T_{members[board]}": result.state.boards.pose(board)
+        for board, root in zip(problem.attached, roots, strict=True)
+    }
     squares, counts = epipolar_by_capture(result.problem, result.state)
     warnings = [Message("unlinked_camera", f"not in the rig: {why}", where=name) for name, why in unlinked.items()]
     if motion is not None and _shows(result, motion):
@@ -228,16 +280,31 @@ def _record(
     return RigCalibration(
         calibrations,
         poses,
-        problem.names(names),
+        problem.names(names, tuple(boards)),
         result.covariance[:count, :count],
         captures=captures,
         motion=motion,
         unlinked=unlinked,
         epipolar_rms_px=float(np.sqrt(squares.sum() / counts.sum())) if counts.any() else None,
         epipolar_by_capture=np.sqrt(squares / np.where(counts, counts, np.nan)),
+        boards=boards,
+        links=camera_links(result, names, [pose_covariances(own.solved.fit) for own in cameras.starts]),
+        scales=_scales(result),
         warnings=(*warnings, *found.warnings),
         failures=(*found.failures, *_misfits(calibrations, cameras)),
     )
+
+
+def _scales(result: RigFit) -> dict[str, tuple[float, float]]:
+    """Return the factors of boards and their standard deviations, where distances tell them."""
+    problem = result.problem
+    terms = problem.parts[0].terms
+    std = np.sqrt(np.diag(result.covariance))[problem.board_start :]
+    return {
+        term.rpartition(":")[0]: (1 + float(result.state.shape[place]), float(std[place]))
+        for place, term in enumerate(terms)
+        if bare_term(term) == SCALE
+    }
 
 
 def _misfits(calibrations: Mapping[str, Calibration], cameras: _Cameras) -> list[Message]:

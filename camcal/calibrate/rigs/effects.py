@@ -1,9 +1,9 @@
 """Effects in the views of a capture, and the motion of the board between the exposures of its cameras.
 
 The effects of calibrate/effects.py belong to a camera's views; but the board that bends is one board, whichever camera
-sees it, so that the coefficients of that effect are those of the capture. The motion of the board is that of a view
-against the first of its capture: a shift of its centre and a rotation about it, whose coefficients move the edge of the
-board by as much, in its unit.
+sees it, so that the coefficients of that effect are those of the board in the capture. The motion of the board is that
+of a view against the first of its capture: a shift of its centre and a rotation about it, whose coefficients move the
+edge of the board by as much, in its unit.
 """
 
 from collections.abc import Sequence
@@ -30,7 +30,7 @@ class CaptureEffects:
     """Which coefficients a capture has.
 
     kinds: the camera (None: all) and the place in KINDS of each kind of coefficient. effect: (m,) which of them each
-    coefficient belongs to. slots: of each camera the coefficients (m_c,) that its columns have.
+    coefficient belongs to. slots: of each camera the coefficients (V, m_c) that the columns of its views have.
     """
 
     kinds: tuple[tuple[int | None, int], ...]
@@ -38,24 +38,33 @@ class CaptureEffects:
     slots: tuple[Array, ...]
 
     @classmethod
-    def of(cls, columns: Sequence[EffectColumns]) -> "CaptureEffects":
+    def of(cls, columns: Sequence[EffectColumns], problem: RigProblem) -> "CaptureEffects":
         """Return the coefficients for the columns of cameras, which are numbered by KINDS."""
         kinds: list[tuple[int | None, int]] = []
         effect: list[int] = []
+        places: dict[tuple[int | None, int, int], list[int]] = {}  # by camera, layer or board, and kind
         slots: list[Array] = []
-        of_all: list[int] = []
         for camera, of_camera in enumerate(columns):
-            own: list[int] = []
-            for kind in np.unique(of_camera.effect).tolist():
-                if kind == _FLEX and of_all:
-                    own += of_all
-                    continue
-                kinds.append((None if kind == _FLEX else camera, kind))
-                places = list(range(len(effect), len(effect) + KINDS[kind].columns))
-                effect += [len(kinds) - 1] * len(places)
-                of_all = places if kind == _FLEX else of_all
-                own += places
-            slots.append(np.array(own, np.intp))
+            own = np.unique(of_camera.effect).tolist()
+            size = sum(KINDS[kind].columns for kind in own)
+            slots.append(np.zeros((len(problem.captures[camera]), size), np.intp))
+            boards = problem.boards[camera]
+            start = 0
+            for kind in own:
+                alike: Sequence[Array] = problem.layers[camera]
+                if kind == _FLEX:
+                    alike = [np.flatnonzero(boards == board) for board in range(int(boards.max(initial=0)) + 1)]
+                of_whom = None if kind == _FLEX else camera
+                for layer, rows in enumerate(alike):
+                    if not len(rows):
+                        continue
+                    if (of_whom, layer, kind) not in places:
+                        first = len(effect)
+                        places[of_whom, layer, kind] = list(range(first, first + KINDS[kind].columns))
+                        effect += [len(kinds)] * KINDS[kind].columns
+                        kinds.append((of_whom, kind))
+                    slots[-1][rows, start : start + KINDS[kind].columns] = places[of_whom, layer, kind]
+                start += KINDS[kind].columns
         return cls(tuple(kinds), np.array(effect, np.intp), tuple(slots))
 
     def start(self, captures: int, sigmas: Sequence[float], side: float) -> EffectScales:

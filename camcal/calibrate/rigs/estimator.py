@@ -27,7 +27,6 @@ from camcal.calibrate.shape import (
     scales_towards,
     spent_by_block,
 )
-from camcal.geometry import rotation as so3
 from camcal.solve.least_squares import assemble
 from camcal.solve.steps import Block, Factors, NormalEquations, Step, factorise, lowest_along
 
@@ -54,8 +53,8 @@ def part_posteriors(
 ) -> tuple[PartPosterior, ...]:
     """Return what the factors of a rig's equations leave open of the views of each camera.
 
-    blocks, equations: of the cameras alone, see `RigProblem.equations_of`. slots: of each camera the places (m_c,) of
-    its coefficients in a capture's group. std: (G, m) of the coefficients, in which the factors measure them.
+    blocks, equations: of the cameras alone, see `RigProblem.equations_of`. slots: of each camera the places (V, m_c) of
+    its views' coefficients in a capture's group. std: (G, m) of the coefficients, in which the factors measure them.
     """
     shared, groups = factors.shared_covariance(), factors.group_covariances()
     coupling = factors.group_inverse.transpose(0, 2, 1) @ factors.reduced
@@ -63,10 +62,12 @@ def part_posteriors(
     result = []
     for camera, (block, own) in enumerate(zip(blocks, equations, strict=True)):
         captures, columns = problem.captures[camera], problem.columns(camera)
-        inside = np.concatenate([np.arange(POSE), slots[camera]])
-        unit = np.concatenate([np.ones((len(captures), POSE)), std[captures][:, slots[camera] - POSE]], axis=1)
-        of_group = groups[np.ix_(captures, inside, inside)] * (unit[:, :, None] * unit[:, None])
-        across = cross[np.ix_(captures, inside, columns)] * unit[:, :, None]
+        inside = np.concatenate([np.tile(np.arange(POSE), (len(captures), 1)), slots[camera]], axis=1)
+        first = captures[:, None, None]
+        unit = np.ones(inside.shape)
+        unit[:, POSE:] = std[captures[:, None], slots[camera] - POSE]
+        of_group = groups[first, inside[:, :, None], inside[:, None]] * (unit[:, :, None] * unit[:, None])
+        across = cross[first, inside[:, :, None], columns] * unit[:, :, None]
         of_shared = shared[np.ix_(columns, columns)]
         dense = own.group_products.shape[1]
         spent = np.sum(of_group * own.group_group, axis=(1, 2)) + 2 * np.sum(across * own.group_shared, axis=(1, 2))
@@ -85,18 +86,15 @@ def _pose_covariances(
     problem: RigProblem, state: RigState, camera: int, of_group: Array, across: Array, of_shared: Array
 ) -> Array:
     """Return the covariances (V, 6, 6) of camera_T_board = camera_T_rig · rig_T_board."""
-    count, lens = len(of_group), len(problem.parts[camera].free)
-    turn = state.camera_rotations[camera]
-    by_capture = np.kron(np.eye(2), turn)
-    result = by_capture @ of_group[:, :POSE, :POSE] @ by_capture.T
-    if not len(problem.pose_columns(camera)):
+    lens = len(problem.parts[camera].free)
+    by_capture, by_shared = problem.pose_jacobians(state, camera)
+    result = by_capture @ of_group[:, :POSE, :POSE] @ by_capture.transpose(0, 2, 1)
+    if not by_shared.shape[2]:
         return np.asarray(result)
-    by_camera = np.tile(np.eye(POSE), (count, 1, 1))
-    by_camera[:, :3, 3:] = -so3.hat(state.translations[problem.captures[camera]] @ turn.T)
-    own = slice(lens, lens + POSE)
-    mixed = by_capture @ across[:, :POSE, own] @ by_camera.transpose(0, 2, 1)
+    own = slice(lens, lens + by_shared.shape[2])
+    mixed = by_capture @ across[:, :POSE, own] @ by_shared.transpose(0, 2, 1)
     result = result + mixed + mixed.transpose(0, 2, 1)
-    return np.asarray(result + by_camera @ of_shared[own, own] @ by_camera.transpose(0, 2, 1))
+    return np.asarray(result + by_shared @ of_shared[own, own] @ by_shared.transpose(0, 2, 1))
 
 
 # A step is as long as the cost along it is lowest, as in calibrate/estimator.py.
@@ -131,8 +129,8 @@ class RigEstimate:
     def motion_of(self, camera: int) -> Array:
         """Return the coefficients (V, 6) of the motion of a camera's views, 0 where there is none."""
         captures, slots = self.problem.captures[camera], self.effects.slots[camera]
-        own = slots[self.effects.of_kinds(SHIFT, TURN)[slots]]
-        return self.coefficients[captures][:, own] if len(own) else np.zeros((len(captures), POSE))
+        own = self.effects.of_kinds(SHIFT, TURN)[slots[0]]
+        return self.coefficients[captures[:, None], slots[:, own]] if own.any() else np.zeros((len(captures), POSE))
 
     @property
     def known(self) -> tuple[KnownNoise, ...]:
@@ -194,7 +192,7 @@ class _RigPasses(Alternation):
                 own, showing = part.place, part.present & views[:, None]
                 columns = motion_columns(self.problem.board, own.state.rotations, own.derivatives, showing)
                 part.columns = with_motion(part.columns, columns)
-        self.effects = CaptureEffects.of([part.columns for part in self.parts])
+        self.effects = CaptureEffects.of([part.columns for part in self.parts], self.problem)
         sigmas = [part.noise.sigma for part in self.parts]
         self.effect_scales = self.effects.start(self.problem.count, sigmas, max(self.problem.board.extent))
         coefficients = np.zeros((self.problem.count, len(self.effects.effect)))
@@ -236,7 +234,7 @@ class _RigPasses(Alternation):
         places = []
         for camera, part in enumerate(self.parts):
             own = self.problem.of_camera(state, camera)
-            values = coefficients[self.problem.captures[camera]][:, self.effects.slots[camera]]
+            values = coefficients[self.problem.captures[camera][:, None], self.effects.slots[camera]]
             places.append(Place(own, part.problem.derivatives(own), values))
         return _RigPlace(state, tuple(places), coefficients)
 

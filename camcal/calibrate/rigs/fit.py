@@ -10,7 +10,6 @@ from camcal.arrays import Array
 from camcal.calibrate.effects import EFFECTS, SMOOTH, EffectColumns, columns_at, likelihood_gain, motion_columns
 from camcal.calibrate.fit import displacements
 from camcal.calibrate.influence import influence
-from camcal.calibrate.intrinsics import Solved
 from camcal.calibrate.jackknife import covariance_of, image_metric, weights_of
 from camcal.calibrate.problem import POSE, State
 from camcal.calibrate.rigs.effects import (
@@ -22,12 +21,14 @@ from camcal.calibrate.rigs.effects import (
 )
 from camcal.calibrate.rigs.epipolar import between_captures, left_out_errors
 from camcal.calibrate.rigs.estimator import RigEstimate, estimate_rig
-from camcal.calibrate.rigs.links import CameraPoses, Placed, best_turns_of_captures, composed, motions, turned
+from camcal.calibrate.rigs.links import best_turns_of_captures, composed, turned
+from camcal.calibrate.rigs.measured import BoardPoses, Measured
+from camcal.calibrate.rigs.placement import PlacedRig
 from camcal.calibrate.rigs.problem import LensPrior, RigProblem, RigState
+from camcal.calibrate.rigs.start import RigStart, start_rig
 from camcal.calibrate.shape import hold_to_print
 from camcal.cameras.lens import CameraModel
 from camcal.cameras.model import Camera
-from camcal.cameras.observations import by_pose
 from camcal.cameras.refit import refit
 from camcal.errors import InsufficientData
 from camcal.geometry import rotation as so3
@@ -42,20 +43,6 @@ _EFFECTS = ((SMOOTH.name,), tuple(effect.name for effect in EFFECTS))
 # Motion of the board between exposures is used: the gain of the restricted log likelihood by it, and epipolar errors
 # between captures over those within them.
 _CERTAIN, _BETWEEN = 10.0, 1.0
-
-
-@dataclass(frozen=True, eq=False)
-class RigStart:
-    """A camera to begin with: its solution, and the capture (V,) of each of its views."""
-
-    solved: Solved
-    captures: Array
-
-    @property
-    def poses(self) -> CameraPoses:
-        """The poses of its views."""
-        state = self.solved.fit.state
-        return CameraPoses(self.captures, state.rotations, state.translations)
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,16 +85,18 @@ class RigFit:
 
 def fit_rig(
     starts: Sequence[RigStart],
-    placed: Placed,
-    count: int,
+    placed: PlacedRig,
+    groups: tuple[Array, Array, int],
     priors: dict[int, LensPrior],
     motion: bool | None,
+    measured: Measured,
 ) -> RigFit:
     """Return the solution for cameras that are all linked, their places as in `placed`.
 
-    count: of the captures. motion: whether the board may have moved between exposures, None: where the data show it.
+    groups: of the rows of captures (R,), the capture of a body and the place of the board, and the number of captures.
+    motion: whether the board may have moved between exposures, None: where the data show it.
     """
-    problem, state, turns = _start(starts, placed, count, priors)
+    problem, state, turns = start_rig(starts, placed, groups, priors, measured)
     state = minimise(_robust(problem, state), state, _ROUGH).state
     plains = [start.solved.fit.plain for start in starts]
     additional = plains[0].additional
@@ -123,7 +112,7 @@ def fit_rig(
             for own, captures in zip(turns, problem.captures, strict=True)
         )
         plain = estimate_rig(problem, state, additional, known, plains[0].board, brief=True)
-    moves = moved_between_exposures(plain) if motion is None else motion
+    moves = not problem.bodies and (moved_between_exposures(plain) if motion is None else motion)
     # with motion from the noise of single cameras: to a rig without it, views whose board moved look noisy
     known = known if moves else list(plain.known)
     plain = estimate_rig(problem, plain.state, additional, known, plain.board, motion=moves)
@@ -158,6 +147,8 @@ def with_other_models(fit: RigFit, models: Sequence[CameraModel | None], sizes: 
     change = np.zeros(len(fit.covariance))
     for camera, move in enumerate(moves[1:], start=1):
         change[plain.problem.pose_columns(camera)] = move
+    boards = plain.state.boards.steps_to(other.state.boards, plain.problem.attached)
+    change[plain.problem.attached_start : plain.problem.board_start] = boards
     return replace(fit, covariance=fit.covariance + 0.5 * np.outer(change, change)) if other.converged else fit
 
 
@@ -168,57 +159,6 @@ def _with_effects(start: RigEstimate, effects: tuple[str, ...]) -> RigEstimate |
         return estimate_rig(start.problem, start.state, additional, start.known, start.board, motion=start.motion)
     except SingularError:
         return None
-
-
-def _start(
-    starts: Sequence[RigStart], placed: Placed, count: int, priors: dict[int, LensPrior]
-) -> tuple[RigProblem, RigState, tuple[Array, ...]]:
-    """Return problem and state with every view of a symmetric board numbered alike within its capture, and the
-    symmetries by which views were turned for that.
-    """
-    fits = [start.solved.fit for start in starts]
-    board = fits[0].problem.board
-    symmetries = np.stack(board.symmetries())
-    turns, shifts = motions(board)
-    largest = int(np.argmax([len(start.captures) for start in starts]))
-    shape, offsets = fits[largest].state.shape, fits[largest].state.offsets
-    rotations, translations = np.zeros((count, 3, 3)), np.zeros((count, 3))
-    known = np.zeros(count, bool)
-    parts, turned = [], []
-    for camera, (start, fit) in enumerate(zip(starts, fits, strict=True)):
-        back, place = placed.rotations[camera].T, placed.translations[camera]
-        candidates = back @ (fit.state.rotations[:, None] @ turns)
-        moved = fit.state.translations[:, None] + np.einsum("vij,sj->vsi", fit.state.rotations, shifts) - place
-        moved = moved @ back.T
-        first = ~known[start.captures]
-        away = so3.log(rotations[start.captures].transpose(0, 2, 1)[:, None] @ candidates)
-        chosen = np.argmin(np.linalg.norm(away, axis=2), axis=1)
-        # alone, each camera numbers its views alike: most others say how
-        usual = np.argmax(np.bincount(chosen[~first], minlength=len(turns))) if not first.all() else 0
-        chosen = np.where(first, usual, chosen)
-        rows = np.arange(len(chosen))
-        new = start.captures[first]
-        rotations[new], translations[new] = candidates[rows, chosen][first], moved[rows, chosen][first]
-        known[new] = True
-        observations = fit.problem.observations
-        ids = np.take_along_axis(symmetries[chosen], observations.ids, axis=1)
-        weights = np.where(observations.present, 1.0, 0.0)
-        table = replace(observations, ids=ids, weights=weights)
-        parts.append(replace(fit.problem, observations=table, noise=None, offsets=False, loss=None))
-        turned.append(chosen)
-    lenses = tuple(fit.state.parameters for fit in fits)
-    cameras = range(len(starts))
-    state = RigState(
-        lenses,
-        np.stack([placed.rotations[camera] for camera in cameras]),
-        np.stack([placed.translations[camera] for camera in cameras]),
-        rotations=rotations,
-        translations=translations,
-        shape=shape,
-        offsets=offsets,
-    )
-    problem = RigProblem(tuple(parts), tuple(start.captures for start in starts), count, priors)
-    return problem, state, tuple(turned)
 
 
 def _robust(problem: RigProblem, state: RigState) -> RigProblem:
@@ -259,7 +199,7 @@ def motion_gain(plain: RigEstimate) -> float:
 
 def _gain(plain: RigEstimate, problem: RigProblem, columns: Sequence[EffectColumns]) -> float:
     """Return the gain of the restricted log likelihood that effects with these columns of the cameras bring."""
-    layout, state = CaptureEffects.of(columns), plain.state
+    layout, state = CaptureEffects.of(columns, problem), plain.state
     equations = [
         problem.equations_of(
             state, camera, problem.of_camera(state, camera), part.place.derivatives, columns[camera].values
@@ -330,14 +270,15 @@ def _metric(plain: RigEstimate, sizes: Sequence[tuple[int, int]]) -> Array | Non
             if not len(found):
                 return None
             result[lens, lens] = image_metric(found)
-        columns = problem.pose_columns(camera)
+        columns = np.concatenate([problem.pose_columns(camera), np.arange(problem.attached_start, problem.board_start)])
         if len(columns):
             weights = part.problem.observations.weights.ravel()
-            arms = plain.state.translations[problem.captures[camera]] @ plain.state.camera_rotations[camera].T
-            points = part.place.derivatives.rotated.reshape(3, len(arms), -1) + arms.T[:, :, None]
-            slopes = by_pose(part.place.derivatives.by_point, points.reshape(3, -1))
-            own = np.einsum("dim,m,djm->ij", slopes, weights, slopes) / weights.sum()
-            result[np.ix_(columns, columns)] = own
+            slopes = part.place.derivatives.by_pose()
+            views = slopes.reshape(2, POSE, len(part.present), -1).transpose(2, 0, 3, 1)
+            by_shared = problem.pose_jacobians(plain.state, camera)[1]
+            moved = (views.reshape(len(views), -1, POSE) @ by_shared).reshape(-1, by_shared.shape[2])
+            counted = np.repeat(weights.reshape(len(views), 1, -1), 2, axis=1).ravel()
+            result[np.ix_(columns, columns)] += (counted[:, None] * moved).T @ moved / weights.sum()
     return result
 
 
@@ -397,4 +338,7 @@ def _mean(states: Sequence[RigState], weights: Array) -> RigState:
         translations=mean([state.translations for state in states]),
         shape=mean([state.shape for state in states]),
         offsets=mean([state.offsets for state in states]),
+        boards=BoardPoses(
+            turned([state.boards.rotations for state in states]), mean([state.boards.translations for state in states])
+        ),
     )

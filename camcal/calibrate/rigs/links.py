@@ -10,7 +10,7 @@ views are numbered alike, as their cameras' poses demand. From capture to captur
 apart; a flat one fits either way.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -133,14 +133,16 @@ class Placed:
     translations: Mapping[int, Array]
 
 
-def place(links: Mapping[tuple[int, int], Link], count: int) -> Placed:
-    """Return where `count` cameras are, as far as they are linked to most others, along the paths known best.
+def place(links: Mapping[tuple[int, int], Link], count: int) -> tuple[Placed, ...]:
+    """Return where `count` cameras are, those that are linked together, along the paths known best.
 
-    links: b_T_a by (a, b), a < b. The camera that comes first among those that are linked stands at the identity.
+    links: b_T_a by (a, b), a < b. Of those that are linked the one that comes first stands at the identity.
     """
     both = dict(links) | {(b, a): own.inverse() for (a, b), own in links.items()}
-    components = _components(links, count)
-    chosen = max(components, key=lambda own: (len(own), -own[0]))
+    return tuple(_place_linked(both, chosen) for chosen in _components(links, count))
+
+
+def _place_linked(both: Mapping[tuple[int, int], Link], chosen: Sequence[int]) -> Placed:
     first = chosen[0]
     rotations, translations = {first: np.eye(3)}, {first: np.zeros(3)}
     variance = {first: 0.0}

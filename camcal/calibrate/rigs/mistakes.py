@@ -47,6 +47,14 @@ class RigCamera:
         """The focal length in pixels."""
         return float(self.lens[0])
 
+    def within(self, captures: Array) -> "RigCamera":
+        """Return what is asked of the camera in some captures, numbered by their places among these."""
+        rows = np.flatnonzero(np.isin(self.poses.captures, captures))
+        own = _some(self.poses, rows)
+        problem = replace(self.problem, observations=self.problem.observations.take(rows), noise=None)
+        poses = replace(own, captures=np.searchsorted(captures, own.captures))
+        return RigCamera(self.name, poses, problem, self.lens)
+
     def of_view(self, other: "RigCamera", row: int) -> CameraPoses | None:
         """Return the pose of a view of another camera if this one had taken its image, None where it could not have."""
         table = thinned(other.problem.observations.take(np.array([row])).alike())

@@ -8,9 +8,11 @@ import numpy as np
 from camcal.arrays import FloatArray
 from camcal.calibrate.fit import CalibrationFit, ShapeOptions
 from camcal.calibrate.intrinsics import Calibration
+from camcal.calibrate.rigs.measured import Measured
 from camcal.cameras.lens import CameraModel
 from camcal.cameras.model import Camera
 from camcal.errors import InvalidInput
+from camcal.geometry.camera_links import CameraLink
 from camcal.geometry.pose import Pose
 from camcal.messages import Message
 from camcal.records import Brief
@@ -20,12 +22,16 @@ from camcal.targets.detection import BoardDetection
 @dataclass(frozen=True, eq=False)
 class Captures(Brief):
     """cameras: (N,) names. names: (G,) of the captures. views[g][c]: what camera c saw in capture g, None without an
-    image of it. Raises InvalidInput for names that occur twice and for rows of another length.
+    image of it. Of several boards each has captures of its own: moments (G,) says which are of one moment, boards (G,)
+    of which of the boards they are, by its place; empty for one board. Raises InvalidInput for names that occur twice
+    and for rows of another length.
     """
 
     cameras: tuple[str, ...]
     names: tuple[str, ...]
     views: tuple[tuple[BoardDetection | None, ...], ...]
+    moments: tuple[int, ...] = ()
+    boards: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         for what, names in (("camera", self.cameras), ("capture", self.names)):
@@ -60,6 +66,8 @@ class Captures(Brief):
             self,
             names=tuple(self.names[index] for index in captures),
             views=tuple(self.views[index] for index in captures),
+            moments=tuple(self.moments[index] for index in captures) if self.moments else (),
+            boards=tuple(self.boards[index] for index in captures) if self.boards else (),
         )
 
 
@@ -73,9 +81,10 @@ class RigOptions:
 
     lenses: joint estimates them with the rig; fixed holds the `given` cameras; prior starts at them, with their
     covariances as prior. given: by the names of cameras. motion: whether the board may have moved between the exposures
-    of a capture, None: where the data show it. others: lens models that predict about alike, by the names of cameras;
-    how far the poses of the cameras move with them counts as uncertainty. starts: brief fits of cameras alone, of all
-    their views with their models, to go on from.
+    of a capture, None: where the data show it. bodies: groups of the names of boards that are joined; None: all are.
+    measured: what is known of the boards beforehand. others: lens models that predict about alike, by the names of
+    cameras; how far the poses of the cameras move with them counts as uncertainty. starts: brief fits of cameras alone,
+    of all their views with their models, to go on from.
     """
 
     models: Mapping[str, CameraModel]
@@ -86,6 +95,8 @@ class RigOptions:
     motion: bool | None = None
     others: Mapping[str, CameraModel] = field(default_factory=dict)
     starts: Mapping[str, CalibrationFit] = field(default_factory=dict)
+    bodies: tuple[tuple[str, ...], ...] | None = None
+    measured: Measured = field(default_factory=Measured)
 
 
 @dataclass(frozen=True)
@@ -110,7 +121,9 @@ class RigCalibration(Brief):
     left.fx … of the lenses, then right_T_left.tx … .rz of the transforms (m and rad; see Pose.retract).
     motion: None where the cameras exposed together. unlinked: cameras that no capture links to the first one, and
     why. epipolar_rms_px: of the corners that two cameras saw, None without any; epipolar_by_capture: (C,) that of each
-    of `captures`, NaN without any.
+    of `captures`, NaN without any. boards: poses of boards in the frame of the first one of their body, by the names
+    of transforms, such as a_T_b. links: what links pairs of cameras. scales: of boards, where distances tell them, by
+    their names (empty for a single one): factor and standard deviation.
     """
 
     calibrations: Mapping[str, Calibration]
@@ -122,6 +135,9 @@ class RigCalibration(Brief):
     unlinked: Mapping[str, str] = field(default_factory=dict)
     epipolar_rms_px: float | None = None
     epipolar_by_capture: FloatArray = field(default_factory=lambda: np.zeros(0))
+    boards: Mapping[str, Pose] = field(default_factory=dict)
+    links: tuple[CameraLink, ...] = ()
+    scales: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     warnings: tuple[Message, ...] = ()
     failures: tuple[Message, ...] = ()
 
@@ -129,6 +145,12 @@ class RigCalibration(Brief):
     def first(self) -> str:
         """The name of the camera whose frame is the rig's."""
         return next(iter(self.poses))
+
+    @property
+    def transforms(self) -> dict[str, Pose]:
+        """The poses of the cameras but the first, and of boards on their bodies, by the names of transforms."""
+        others = {self.transform_name(name): pose for name, pose in self.poses.items() if name != self.first}
+        return others | dict(self.boards)
 
     def transform_name(self, camera: str) -> str:
         """Return the name of a camera's pose, such as right_T_left."""
@@ -141,5 +163,8 @@ class RigCalibration(Brief):
 
     def pose_covariance(self, camera: str) -> FloatArray:
         """Return the covariance (6, 6) of camera_T_first, order tx ty tz rx ry rz, m and rad."""
-        transform = self.transform_name(camera)
+        return self.transform_covariance(self.transform_name(camera))
+
+    def transform_covariance(self, transform: str) -> FloatArray:
+        """Return the covariance (6, 6) of a transform by its name, order tx ty tz rx ry rz, m and rad."""
         return self.covariance_of(tuple(f"{transform}.{axis}" for axis in ("tx", "ty", "tz", "rx", "ry", "rz")))

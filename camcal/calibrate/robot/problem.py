@@ -156,11 +156,11 @@ class RobotProblem:
         seen = carrier @ rig_T_board  # carrier_T_board
         back = seen.inverse()
         found = world @ back  # world_T_carrier
-        by_seen = _by_first(world, back)[1] @ _by_inverse(seen)
-        by_carrier, by_group = (by_seen @ own for own in _by_first(carrier, rig_T_board))
-        derivatives = np.concatenate([by_carrier, _by_first(world, back)[0], by_group], axis=2)
+        by_seen = by_factors(world, back)[1] @ by_inverse(seen)
+        by_carrier, by_group = (by_seen @ own for own in by_factors(carrier, rig_T_board))
+        derivatives = np.concatenate([by_carrier, by_factors(world, back)[0], by_group], axis=2)
         if not self.robot.in_hand:
-            derivatives = _by_inverse(found) @ derivatives
+            derivatives = by_inverse(found) @ derivatives
             found = found.inverse()
         known, (scale, delay) = self.robot.base_T_hand, state.systematic
         speeds = np.zeros((len(captures), POSE)) if self.robot.velocities is None else self.robot.velocities
@@ -178,7 +178,7 @@ class RobotProblem:
         return residuals, by_own, derivatives[:, :, OWN:]
 
 
-def _by_first(a_T_b: Poses, b_T_c: Poses) -> tuple[Array, Array]:
+def by_factors(a_T_b: Poses, b_T_c: Poses) -> tuple[Array, Array]:
     """Return the derivatives (N, 6, 6) of the step of a_T_c by those of a_T_b and b_T_c."""
     arms = (a_T_b.rotations @ b_T_c.translations[..., None])[..., 0]
     first, second = np.tile(np.eye(POSE), (len(arms), 1, 1)), np.zeros((len(arms), POSE, POSE))
@@ -187,7 +187,7 @@ def _by_first(a_T_b: Poses, b_T_c: Poses) -> tuple[Array, Array]:
     return first, second
 
 
-def _by_inverse(a_T_b: Poses) -> Array:
+def by_inverse(a_T_b: Poses) -> Array:
     """Return the derivatives (N, 6, 6) of the step of b_T_a by that of a_T_b."""
     back = -a_T_b.rotations.transpose(0, 2, 1)
     result = np.zeros((len(back), POSE, POSE))

@@ -98,7 +98,7 @@ def closed_form(robot: Poses, camera: Poses) -> HandEye:
     X = Pose(rotation, translation)
     moved = Poses(rotation[None], translation[None])
     board = robot @ moved @ camera
-    Z = _centre(board)
+    Z = centre(board)
     predicted = Poses(Z.rotation[None], Z.translation[None]) @ (moved @ camera).inverse()
     shifts = np.linalg.norm(predicted.translations - robot.translations, axis=1)
     turned = robot.rotations.transpose(0, 2, 1) @ predicted.rotations
@@ -130,7 +130,7 @@ def _solve(matrices: Array, targets: Array) -> Array:
     return np.asarray(found)
 
 
-def _centre(poses: Poses) -> Pose:
+def centre(poses: Poses) -> Pose:
     """Return the pose that most of some poses are near."""
     rotation, translation = poses.rotations[0], np.median(poses.translations, axis=0)
     weights = np.ones(len(poses.rotations))

@@ -22,6 +22,7 @@ from camcal import files
 from camcal.calibrate.intrinsics import CandidateModel
 from camcal.errors import FileError, InvalidInput, Located
 from camcal.formats import boards, detections, documents
+from camcal.formats.detections_text import csv_text
 from camcal.formats.schema import integer, items, mapping, number, one_of, plain, text
 from camcal.messages import Message, as_data
 from camcal.options import Declared, assembled, declared
@@ -103,7 +104,7 @@ def run_text(run: Mapping[str, Any]) -> str:
 
 def detections_text(found: Detections) -> str:
     """Return the text of the `camcal-detections` element."""
-    return base64.b64encode(zlib.compress(files.utf8(detections.csv_text(found)), 9)).decode("ascii")
+    return base64.b64encode(zlib.compress(files.utf8(csv_text(found)), 9)).decode("ascii")
 
 
 def read(path: Path, photo: re.Pattern[str]) -> PageData:

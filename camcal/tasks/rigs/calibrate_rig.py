@@ -19,14 +19,18 @@ from camcal.progress import SILENT, Progress, stage, warn_of
 from camcal.quality.assess import assess
 from camcal.quality.projection_uncertainty import too_uncertain
 from camcal.report.calibration import as_data, candidates_data, uncertainty_data
-from camcal.report.rig import motion_data, transform_data
+from camcal.report.rig import motion_data, scales_data, transform_data
 from camcal.run.journal import journal_beside
 from camcal.run.outputs import writes
+from camcal.targets.board import Board
+from camcal.targets.board_set import BoardSet, surfaces_of
+from camcal.targets.detection import BoardDetection
 from camcal.tasks.calibration.board_views import is_refined, known_circle
 from camcal.tasks.calibration.camera_result import RefinementSummary
 from camcal.tasks.calibration.images_again import refine_corners
 from camcal.tasks.figure_files import figure_data, write_figures
 from camcal.tasks.rigs.options import PRIOR, RigSettings, RigTaskOptions, StereoCalibrateOptions
+from camcal.tasks.rigs.rig_boards import bodies_of, measured_of
 from camcal.tasks.rigs.rig_lenses import (
     GivenLens,
     RigModels,
@@ -75,6 +79,9 @@ def calibrated(
 def _calibrate(seen: RigViews, settings: RigSettings, command: Sequence[str], progress: Progress) -> RigReport:
     require_size(seen.board)
     names = seen.captures.cameras
+    bodies, measured = bodies_of(settings, seen.board), measured_of(settings, seen.board)
+    if isinstance(seen.board, BoardSet) and settings.motion:
+        raise InvalidInput("--motion is of one board: leave it out with several")
     given = given_lenses(settings, names, progress)
     require_sizes(given, seen.captures)
     if settings.lenses == PRIOR:
@@ -92,7 +99,7 @@ def _calibrate(seen: RigViews, settings: RigSettings, command: Sequence[str], pr
         with stage(progress, "choosing lens models"):
             models = rig_models(views.captures, views.board, settings, given, shape, circles)
         with stage(progress, "solving"):
-            how = _solver_options(settings, given, shape, models)
+            how = replace(_solver_options(settings, given, shape, models), bodies=bodies, measured=measured)
             return models, calibrate_rig(views.captures, views.board, how)
 
     try:
@@ -228,13 +235,45 @@ def _measure(
     seen: RigViews, lenses: Mapping[str, Calibration], settings: RigSettings, progress: Progress
 ) -> tuple[RigViews, RefinementSummary]:
     """Return the views with their corners measured, see `refine_corners`, and what has changed."""
-    how = settings.reading, settings.jobs, settings.batch, progress
-    looks = {
-        name: refine_corners(lenses.get(name), seen.board, seen.of(name), seen.videos, *how, seen.files)
-        for name in seen.captures.cameras
-    }
-    summary = RefinementSummary(sum(own.recovered for own in looks.values()), sum(own.lost for own in looks.values()))
-    return seen.with_views({name: look.views for name, look in looks.items()}), summary
+    views: dict[str, Sequence[BoardDetection]] = {}
+    added = removed = 0
+    for name in seen.captures.cameras:
+        own, lens = seen.of(name), lenses.get(name)
+        again = list(own)
+        for body, board in seen.board.members.items():
+            rows = [row for row, view in enumerate(own) if view.body == body or not body]
+            found = refine_corners(
+                None if lens is None else _of_board(lens, body, rows),
+                board,
+                [_alone(seen.board, own[row]) for row in rows],
+                seen.videos,
+                settings.reading,
+                settings.jobs,
+                settings.batch,
+                progress,
+                seen.files,
+            )
+            for row, view in zip(rows, found.views, strict=True):
+                again[row] = _numbered(seen.board, body, view)
+            added, removed = added + found.recovered, removed + found.lost
+        views[name] = again
+    return seen.with_views(views), RefinementSummary(added, removed)
+
+
+def _of_board(lens: Calibration, body: str, rows: Sequence[int]) -> Calibration:
+    """Return a calibration with one of its boards, and the views of it alone, by their places."""
+    if not body:
+        return lens
+    surface = surfaces_of(lens.surface)[body]
+    return replace(lens, board=surface.board, surface=surface, views=tuple(lens.views[row] for row in rows))
+
+
+def _alone(board: Board, view: BoardDetection) -> BoardDetection:
+    return board.alone(view) if isinstance(board, BoardSet) else view
+
+
+def _numbered(board: Board, body: str, view: BoardDetection) -> BoardDetection:
+    return board.numbered(body, view) if isinstance(board, BoardSet) else view
 
 
 def document(report: RigReport, settings: RigSettings) -> dict[str, Any]:
@@ -246,10 +285,11 @@ def document(report: RigReport, settings: RigSettings) -> dict[str, Any]:
         "first": calibration.first,
         "cameras": {name: _camera_data(report, name) for name in calibration.calibrations},
         "transforms": {
-            calibration.transform_name(name): transform_data(pose, calibration.pose_covariance(name))
-            for name, pose in calibration.poses.items()
-            if name != calibration.first
+            name: transform_data(pose, calibration.transform_covariance(name))
+            for name, pose in calibration.transforms.items()
         },
+        "links": [link.as_data() for link in calibration.links],
+        "scales": scales_data(calibration.scales),
         "epipolar_rms_px": calibration.epipolar_rms_px,
         "motion": motion_data(calibration.motion),
         "unlinked": dict(calibration.unlinked),

@@ -83,10 +83,10 @@ def cameras_of(
     return cameras, lines
 
 
-def require_name(name: str) -> None:
-    """Raise InvalidInput unless a camera may have this name in a file."""
+def require_name(name: str, what: str = "camera") -> None:
+    """Raise InvalidInput unless a camera, or something else, may have this name in a file."""
     if not NAME.match(name) or JOINT in name:
-        raise InvalidInput(f"{name!r} is not a valid name of a camera: letters, digits and single '_', a letter first")
+        raise InvalidInput(f"{name!r} is not a valid name of a {what}: letters, digits and single '_', a letter first")
 
 
 def _named(text: str) -> tuple[str, str]:

@@ -13,14 +13,17 @@ from camcal.cameras.validity import ImageCircle
 from camcal.errors import InvalidInput
 from camcal.formats import boards
 from camcal.formats.camera_file import CameraFile, rig_of
-from camcal.formats.schema import items, mapping, number
+from camcal.formats.schema import integer, items, mapping, number, text
+from camcal.geometry.camera_links import CameraLink, certain_path
 from camcal.geometry.pose import Pose
+from camcal.messages import counted
 from camcal.quality.rig_geometry import PairGeometry, pair_geometry
 from camcal.targets.board import Board
 
 SUFFIXES = (".png", ".html")
 _FAR = 1e4  # m, rad: no board is farther
 _POSE = mapping({"t": items(number(-_FAR, _FAR), 3), "rotation_vector": items(number(-_FAR, _FAR), 3)})
+_LINK = mapping({"cameras": items(text, 2), "boards": items(text), "captures": integer(1), "std_m": number(0, _FAR)})
 _SIZE = (1280, 960)
 _VIEWS = ("35,25", "front", "top", "side")  # degrees to the right and up: cameras and boards are seen side by side
 _MOST_BOARDS = 60
@@ -33,6 +36,8 @@ class RigInspection:
 
     pairs: every camera with the first one, or one with which it sees more. board: None where the file does not say it.
     measured: figures of the calibration that the file's provenance has under `rig`. circles: image circles of cameras.
+    paths: of the pairs, what links lead from the one camera to the other with the least uncertainty, where the file
+    says it.
     """
 
     rig: Rig
@@ -42,6 +47,7 @@ class RigInspection:
     board: Board | None = None
     measured: Mapping[str, object] = field(default_factory=dict)
     circles: Mapping[str, ImageCircle] = field(default_factory=dict)
+    paths: tuple[tuple[CameraLink, ...], ...] = ()
 
 
 def inspect_rig(file: CameraFile, where: str) -> RigInspection | None:
@@ -56,15 +62,37 @@ def inspect_rig(file: CameraFile, where: str) -> RigInspection | None:
     circles = {name: entry.image_circle for name, entry in file.cameras.items() if entry.image_circle is not None}
     pairs = tuple(_pair(rig, names[: index + 1], other, circles) for index, other in enumerate(names[1:]))
     measured = file.provenance.get("rig")
+    measured = dict(measured) if isinstance(measured, Mapping) else {}
+    links = tuple(_links(measured.pop("links", None), names))
     return RigInspection(
         rig,
         frame,
         pairs,
         tuple(_boards(file, rig)),
         _board(file.provenance.get("board")),
-        measured if isinstance(measured, Mapping) else {},
+        measured,
         circles,
+        tuple(certain_path(links, pair.first, pair.second) for pair in pairs) if links else (),
     )
+
+
+def _links(data: object, names: Sequence[str]) -> Iterator[CameraLink]:
+    """Yield the links between cameras that a provenance tells; what is none is passed over."""
+    for each in data if isinstance(data, list) else []:
+        if not any(_LINK(each, "")) and len(set(each["cameras"]) & set(names)) == 2:
+            cameras = str(each["cameras"][0]), str(each["cameras"][1])
+            yield CameraLink(cameras, tuple(map(str, each["boards"])), each["captures"], float(each["std_m"]))
+
+
+def path_words(path: Sequence[CameraLink], first: str) -> str:
+    """Return the links from one camera to another in words, with the standard deviation of a position by them."""
+    words, camera = [first], first
+    for link in path:
+        [camera] = set(link.cameras) - {camera}
+        by = f" by {' and '.join(link.boards)}" if link.boards else ""
+        words.append(f"{camera}{by} ({counted(link.captures, 'capture')}, {1e3 * link.std:.2g} mm)")
+    std = float(np.sqrt(sum(link.std**2 for link in path)))
+    return f"{' – '.join(words)}" + (f": {1e3 * std:.2g} mm" if len(path) > 1 else "")
 
 
 def _pair(rig: Rig, before: Sequence[str], camera: str, circles: Mapping[str, ImageCircle]) -> PairGeometry:
@@ -126,6 +154,8 @@ def as_data(found: RigInspection | None) -> dict[str, Any] | None:
     if found is None:
         return None
     pairs = [_pair_data(pair) for pair in found.pairs]
+    for pair, path in zip(pairs, found.paths, strict=False):
+        pair["path"] = [link.as_data() for link in path]
     return {"frame": found.frame, "pairs": pairs, "measured": dict(found.measured)}
 
 

@@ -1,11 +1,12 @@
 """The options of `camcal rig` and `camcal stereo calibrate`."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from camcal.errors import InvalidInput
 from camcal.options import (
+    BOARD,
     CHECKS,
     INPUT,
     LENS,
@@ -14,6 +15,7 @@ from camcal.options import (
     Argument,
     Option,
     OptionsRecord,
+    ValueType,
     Without,
 )
 from camcal.raw.options import AS_IMAGES, ImageReadOptions
@@ -42,6 +44,7 @@ from camcal.tasks.options import (
     Overwrite,
     Recursive,
     ReportFile,
+    board_text,
     result_option,
 )
 from camcal.tasks.poses.smooth_options import Timing
@@ -49,6 +52,19 @@ from camcal.tasks.suggestions import lens_model_names, lens_models
 
 if TYPE_CHECKING:
     from camcal.targets.board import Board
+
+
+def named_board(text: str) -> tuple[str, str]:
+    """Return the name that a text gives a board, empty without one, and the text that means the board."""
+    name, mark, rest = text.partition("=")
+    return (name, rest) if mark and not {"/", ":"} & set(name) and not Path(text).exists() else ("", text)
+
+
+def named_board_text(text: str) -> str:
+    """Return the text that means a board, or one with a name; raises InvalidInput for a short form that is wrong."""
+    board_text(named_board(text)[1])
+    return text
+
 
 AUTO, NAME, INDEX, TIME = "auto", "name", "index", "time"
 MATCHES = (AUTO, NAME, INDEX, TIME)
@@ -59,14 +75,55 @@ JOINT, FIXED, PRIOR = "joint", "fixed", "prior"
 class RigSettings(OptionsRecord):
     """How the cameras of a rig are calibrated; see `camcal rig --help`.
 
-    board: None where a detections file names it. match: how images of one capture are found. tolerance: s, None for
-    half of the shortest usual interval. models: a lens model, or NAME=MODEL for single cameras; none for those that
-    predict views best. guess: camera files, or NAME=FILE for single cameras. lenses: joint estimates them with the rig,
-    starting at a guess if there is one; fixed and prior need one. The other options are those of `calibrate`.
+    board: None where a detections file names it, else a tuple of boards, with names where there are several. joined:
+    groups of their names; none: all are. relations, distances: what is known of them. match: how images of one capture
+    are found. tolerance: s, None for half of the shortest interval. models: a lens model, or NAME=MODEL for single
+    cameras; none for those that predict views best. guess: camera files, or NAME=FILE for single cameras. lenses: joint
+    estimates them with the rig, starting at a guess if there is one; fixed and prior need one. The other options are
+    those of `calibrate`.
     """
 
     output: Annotated[Path | None, result_option(CAMERA_FILE)] = None
-    board: Annotated["Board | str | None", BOARD_OPTION] = None
+    board: Annotated[
+        "Board | str | tuple[Board | str, ...] | None",
+        replace(
+            BOARD_OPTION,
+            help=f"{BOARD_OPTION.help} NAME=BOARD for each of several boards, repeated.",
+            metavar="BOARD|NAME=BOARD",
+            type=ValueType(named_board_text, str, "a board"),
+            several=True,
+        ),
+    ] = None
+    joined: Annotated[
+        tuple[str, ...],
+        Option(
+            "Boards that are joined rigidly, such as a,b (repeated), or none; by default all of several boards. Where "
+            "they stand on each other is estimated.",
+            metavar="NAME,NAME…",
+            group=BOARD,
+        ),
+    ] = ()
+    relations: Annotated[
+        Path | None,
+        Option(
+            "Known relations of joined boards: a file with transforms such as a_T_b with their covariance or std, as "
+            "an earlier 'camcal rig' writes it.",
+            metavar="FILE",
+            group=BOARD,
+            names="--board-poses",
+        ),
+    ] = None
+    distances: Annotated[
+        tuple[str, ...],
+        Option(
+            "Measured distance of two points with its standard deviation, such as 0:53=0.25m±0.1mm, or "
+            "a.0:b.12=1.503m±2mm of points of several boards; repeated. Distances set the scale: the size of a square "
+            "is then known to 1 % only.",
+            metavar="POINT:POINT=LENGTH±STD",
+            group=BOARD,
+            names="--distance",
+        ),
+    ] = ()
     match: Annotated[
         str,
         Option(
@@ -157,6 +214,8 @@ class RigSettings(OptionsRecord):
     overwrite: Overwrite = False
 
     def __post_init__(self) -> None:
+        if self.board is not None and not isinstance(self.board, tuple):
+            object.__setattr__(self, "board", (self.board,))
         super().__post_init__()
         require_positive(self.max_uncertainty)
         if self.lenses != JOINT and not self.guess:

@@ -15,7 +15,8 @@ from camcal.messages import Message
 from camcal.quality.assess import Assessment
 from camcal.quality.projection_uncertainty import ProjectionUncertainty
 from camcal.records import Brief
-from camcal.report.rig import motion_data
+from camcal.report.rig import motion_data, scales_data
+from camcal.targets.board_set import surfaces_of
 from camcal.tasks.calibration.camera_result import RefinementSummary, camera_entry, image_record, is_shaped
 from camcal.tasks.rigs.rig_views import RigViews
 
@@ -85,20 +86,20 @@ def rig_file(calibration: RigCalibration, results: Mapping[str, CameraResult], c
                 verdict.trustworthy and not failures, verdict.reasons + failures, None if failures else verdict.region
             ),
         )
-    others = [name for name in calibration.poses if name != calibration.first]
     transforms = {
-        calibration.transform_name(name): Transform(calibration.poses[name], calibration.pose_covariance(name))
-        for name in others
+        name: Transform(pose, calibration.transform_covariance(name)) for name, pose in calibration.transforms.items()
     }
     kept = {*entries, *transforms}
     names = tuple(name for name in calibration.names if name.rpartition(".")[0] in kept)
-    surface = calibration.calibrations[calibration.first].surface
+    surfaces = surfaces_of(calibration.calibrations[calibration.first].surface)
+    surface = surfaces.pop("", None)
     board = calibration.calibrations[calibration.first].board
     return CameraFile(
         entries,
         transforms,
         JointCovariance(names, calibration.covariance_of(names)),
-        board_shape=surface if is_shaped(surface) else None,
+        board_shape=surface if surface is not None and is_shaped(surface) else None,
+        boards=surfaces,
         provenance=provenance.build(command, board, _image_records(calibration)) | {"rig": _figures(calibration)},
     )
 
@@ -109,6 +110,8 @@ def _figures(calibration: RigCalibration) -> dict[str, Any]:
     figures = {
         "epipolar_rms_px": calibration.epipolar_rms_px,
         **{f"motion_{key}": value for key, value in motion.items()},
+        "links": [link.as_data() for link in calibration.links] or None,
+        "scales": scales_data(calibration.scales) or None,
     }
     return {key: value for key, value in figures.items() if value is not None}
 
@@ -116,7 +119,9 @@ def _figures(calibration: RigCalibration) -> dict[str, Any]:
 def _image_records(calibration: RigCalibration) -> list[dict[str, Any]]:
     """Return what the provenance says of all images, each with its camera and where that saw the board."""
     return [
-        image_record(view) | {"camera": name} | _pose_record(view.camera_T_board)
+        image_record(view)
+        | {"camera": name, **({"board": view.body} if view.body else {})}
+        | _pose_record(view.camera_T_board)
         for name, own in calibration.calibrations.items()
         for view in own.views
     ]

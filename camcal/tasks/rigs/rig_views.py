@@ -7,12 +7,12 @@ from pathlib import Path
 from camcal.calibrate.rigs.record import Captures
 from camcal.cameras.validity import ImageCircle
 from camcal.errors import InsufficientData, InvalidInput
-from camcal.formats import boards
 from camcal.messages import Message
 from camcal.options import given_words
 from camcal.progress import Progress, warn_of
 from camcal.raw.options import AS_IMAGES
 from camcal.targets.board import Board
+from camcal.targets.board_set import BoardSet, board_set
 from camcal.targets.detect import require_findable
 from camcal.targets.detection import BoardDetection, Detections
 from camcal.tasks.calibration.board_search import require_colours
@@ -27,6 +27,7 @@ from camcal.tasks.poses.frame_times import frame_times
 from camcal.tasks.rigs.camera_inputs import SYNTAX, CameraInputs, cameras_of, split_by_name
 from camcal.tasks.rigs.matching import Matched, matched, settled_together, survey_rig, unmatched_words
 from camcal.tasks.rigs.options import AUTO, TIME, RigSettings
+from camcal.tasks.rigs.rig_boards import asked_board, require_other_names
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,11 +127,88 @@ def captured(
     return RigViews(board, result, warnings=tuple(warnings), lines=(result.line,))
 
 
+def captured_boards(
+    boards: BoardSet,
+    views: Mapping[str, Mapping[str, Sequence[BoardDetection]]],
+    settings: RigSettings,
+    progress: Progress,
+) -> RigViews:
+    """Return the captures of views of every camera, by the names of boards and then of cameras, each board with
+    captures of its own.
+
+    Raises InsufficientData, beside what `captured` does, for a board that no camera sees.
+    """
+    for name in boards.names:
+        if not any(view.found for own in views.get(name, {}).values() for view in own):
+            raise InsufficientData(f"board {name}: no image of any camera shows it")
+    cameras = dict.fromkeys(camera for own in views.values() for camera in own)
+    of_image: dict[tuple[str, str, str], BoardDetection] = {}  # by camera, image and board
+    shown: dict[str, dict[str, BoardDetection]] = {camera: {} for camera in cameras}
+    for name, by_camera in views.items():
+        for camera, own in by_camera.items():
+            for view in own:
+                of_image[camera, view.image, name] = view
+                if not shown[camera].setdefault(view.image, view).found:
+                    shown[camera][view.image] = view
+    found = captured(boards, {camera: tuple(own.values()) for camera, own in shown.items()}, settings, progress)
+    captures = found.captures
+    names, rows, moments, places = [], [], [], []
+    for place, name in enumerate(boards.names):
+        for moment, (capture, row) in enumerate(zip(captures.names, captures.views, strict=True)):
+            shows = [_of_board(view, name, of_image, boards, first=not place) for view in row]
+            if any(view is not None for view in shows):
+                names.append(f"{capture} {name}")
+                rows.append(tuple(shows))
+                moments.append(moment)
+                places.append(place)
+    several = Captures(captures.cameras, tuple(names), tuple(rows), tuple(moments), tuple(places))
+    return replace(found, matched=replace(found.matched, captures=several), lines=(found.matched.line,))
+
+
+def captured_table(
+    board: Board, views: Mapping[str, Sequence[BoardDetection]], settings: RigSettings, progress: Progress
+) -> RigViews:
+    """Return the captures of views of every camera that say which of several boards they are of; see `captured`."""
+    if not isinstance(board, BoardSet):
+        return captured(board, views, settings, progress)
+    require_other_names(board, list(views))
+    by_board = {
+        name: {
+            camera: [replace(view, camera=camera) for view in own if view.body in (name, "")]
+            for camera, own in views.items()
+        }
+        for name in board.names
+    }
+    return captured_boards(board, by_board, settings, progress)
+
+
+def _of_board(
+    view: BoardDetection | None,
+    name: str,
+    of_image: Mapping[tuple[str, str, str], BoardDetection],
+    boards: BoardSet,
+    *,
+    first: bool,
+) -> BoardDetection | None:
+    """Return what an image shows of a board, None where it does not; of an image without any board, what it shows
+    instead, with the `first` of the boards.
+    """
+    if view is None:
+        return None
+    own = of_image.get((view.camera, view.image, name))
+    if own is not None and own.found:
+        numbered = own if own.body else boards.numbered(name, own)
+        return replace(numbered, camera=view.camera, time=view.time)
+    return replace(view, body=name) if first and not view.found else None
+
+
 def _from_media(cameras: Sequence[CameraInputs], settings: RigSettings, progress: Progress) -> RigViews:
-    if settings.board is None:
+    asked = asked_board(settings)
+    if asked is None:
         raise InvalidInput("--board is needed to find one in images, such as --board chessboard:9x6:25mm")
-    asked = boards.load_board(settings.board) if isinstance(settings.board, str) else settings.board
     require_size(asked)
+    if isinstance(asked, BoardSet):
+        return _from_images_of_boards(cameras, asked, settings, progress)
     options = DetectOptions(
         board=asked,
         jobs=settings.jobs,
@@ -190,6 +268,47 @@ def _from_media(cameras: Sequence[CameraInputs], settings: RigSettings, progress
     )
 
 
+def _from_images_of_boards(
+    cameras: Sequence[CameraInputs], asked: BoardSet, settings: RigSettings, progress: Progress
+) -> RigViews:
+    """Return what images show of several boards: each is searched as it is where it is alone."""
+    if videos := [path for camera in cameras for path in camera.videos]:
+        raise InvalidInput("several boards are searched in images, not in videos: extract frames", where=str(videos[0]))
+    require_other_names(asked, [camera.name for camera in cameras])
+    images = [path for camera in cameras for path in camera.images]
+    locate = is_located(settings.refine, settings.reading, mixed_sizes=settings.mixed_sizes)
+    members: dict[str, Board] = {}
+    views: dict[str, dict[str, Sequence[BoardDetection]]] = {}
+    warnings: list[Message] = []
+    failed: dict[str, None] = {}
+    for name, member in asked.members.items():
+        options = DetectOptions(
+            board=member,
+            jobs=settings.jobs,
+            batch=settings.batch,
+            reading=settings.reading,
+            parts=settings.parts,
+            mixed_sizes=settings.mixed_sizes,
+        )
+        require_findable(member, partial=settings.parts)
+        require_colours(member, settings.reading)
+        found = search_board(member, images, [], options, progress, locate=locate)
+        if found.nothing:
+            raise type(found.nothing)(f"board {name}: {found.nothing.message}") from found.nothing
+        members[name] = found.board
+        taken = _of_images(cameras, {view.image: view for view in found.views}, settings, progress)
+        views[name] = {}
+        for camera, own in taken.items():
+            sized = same_size(own, usual_size(own), found.board, mixed=settings.mixed_sizes)
+            views[name][camera] = [replace(view, camera=camera) for view in sized.views]
+            warnings += sized.warnings
+        failed |= dict.fromkeys(map(str, found.errors))
+    several = board_set(members)
+    result = captured_boards(several, views, settings, progress)
+    warn_of(warnings, progress)
+    return replace(result, warnings=(*warnings, *result.warnings), failed=tuple(failed))
+
+
 def _of_images(
     cameras: Sequence[CameraInputs], by_name: Mapping[str, BoardDetection], settings: RigSettings, progress: Progress
 ) -> dict[str, list[BoardDetection]]:
@@ -209,12 +328,13 @@ def _of_images(
 
 def _from_tables(cameras: Sequence[CameraInputs], settings: RigSettings, progress: Progress) -> RigViews:
     """Return the captures of detections files: one for each camera, or one with the views of all."""
+    asked = asked_board(settings)
     if settings.reading != AS_IMAGES:
         raise InvalidInput(f"{given_words(settings.reading)[0]} applies to images, not to a detections file")
     found = {
         camera.name: board_views(
             camera.tables,
-            settings.board,
+            asked,
             settings.recursive,
             settings.jobs,
             progress,
@@ -234,7 +354,7 @@ def _from_tables(cameras: Sequence[CameraInputs], settings: RigSettings, progres
         own = _by_camera(table, camera)
         views.update(own)
         circles |= {name: circle for name in own if (circle := table.circles.get(name, table.circles.get("")))}
-    result = captured(known.pop(), views, settings, progress)
+    result = captured_table(known.pop(), views, settings, progress)
     warnings = tuple(warning for each in found.values() for warning in each.warnings)
     return replace(result, circles=circles, warnings=warnings + result.warnings, table=True)
 

@@ -1,0 +1,171 @@
+"""What is known of boards beforehand, beside their drawings: where one stands against another, distances of points."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from camcal.arrays import Array
+from camcal.calibrate.problem import POSE
+from camcal.errors import InsufficientData
+from camcal.geometry import rotation as so3
+from camcal.geometry.pose import Pose, retract
+from camcal.messages import Message
+from camcal.solve.steps import Block, Jacobian
+
+_CONTRADICTED = 30.0  # of χ² of six coordinates: one in 25 000 relations that are right
+_FAR = 4.5  # standard deviations of a distance
+
+
+@dataclass(frozen=True, eq=False)
+class BoardPoses:
+    """Poses body_T_board of boards on their bodies: rotations (B, 3, 3), translations (B, 3)."""
+
+    rotations: Array
+    translations: Array
+
+    @classmethod
+    def one(cls, count: int = 1) -> "BoardPoses":
+        """Return boards that are each a body of their own."""
+        return cls(np.tile(np.eye(3), (count, 1, 1)), np.zeros((count, 3)))
+
+    def moved(self, boards: Sequence[int], steps: Array) -> "BoardPoses":
+        """Return the poses with those of some boards moved by steps (6 n,)."""
+        if not boards:
+            return self
+        rotations, translations, chosen = self.rotations.copy(), self.translations.copy(), list(boards)
+        rotations[chosen], translations[chosen] = retract(
+            rotations[chosen], translations[chosen], steps.reshape(-1, POSE)
+        )
+        return BoardPoses(rotations, translations)
+
+    def steps_to(self, other: "BoardPoses", boards: Sequence[int]) -> Array:
+        """Return the steps (6 n,) from the poses of some boards to others."""
+        chosen = list(boards)
+        turns = so3.log(other.rotations[chosen] @ self.rotations[chosen].transpose(0, 2, 1))
+        return np.concatenate([other.translations[chosen] - self.translations[chosen], turns], axis=1).ravel()
+
+    def pose(self, board: int) -> Pose:
+        """Return body_T_board of one board."""
+        return Pose(self.rotations[board], self.translations[board])
+
+
+@dataclass(frozen=True, eq=False)
+class KnownRelation:
+    """target_T_source of two boards of one body, by their places, and its covariance (6, 6)."""
+
+    target: int
+    source: int
+    pose: Pose
+    covariance: Array
+
+
+@dataclass(frozen=True)
+class KnownDistance:
+    """The distance of two points, m, and its standard deviation. points: their numbers among those of all boards;
+    boards: the places of their boards, which are of one body. words: how a person gave it.
+    """
+
+    points: tuple[int, int]
+    boards: tuple[int, int]
+    metres: float
+    std: float
+    words: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """What is known of boards."""
+
+    relations: tuple[KnownRelation, ...] = ()
+    distances: tuple[KnownDistance, ...] = ()
+
+    def __bool__(self) -> bool:
+        """Return whether there is anything."""
+        return bool(self.relations or self.distances)
+
+
+def measured_blocks(
+    known: Measured, boards: BoardPoses, starts: Mapping[int, int], points: Array, basis: Array, terms: int
+) -> list[Block]:
+    """Return what is known as residuals over their standard deviations.
+
+    starts: where the poses of boards begin among the shared parameters, of those that move. points: (C, 3) of the
+    boards, each in the frame of its own. basis: (C, 3, S) by the terms of their shape, which begin at `terms`.
+    """
+    result = []
+    for relation in known.relations:
+        root = np.linalg.inv(np.linalg.cholesky(relation.covariance))
+        apart, by_target, by_source = relation_step(relation, boards)
+        jacobians = [
+            Jacobian((root @ by)[None], np.arange(starts[board], starts[board] + POSE))
+            for board, by in ((relation.target, by_target), (relation.source, by_source))
+            if board in starts
+        ]
+        result.append(Block((root @ apart)[None], tuple(jacobians)))
+    for distance in known.distances:
+        length, by_boards, by_terms = distance_of(distance, boards, points, basis)
+        jacobians = [
+            Jacobian(by[None, None] / distance.std, np.arange(starts[board], starts[board] + POSE))
+            for board, by in by_boards.items()
+            if board in starts
+        ]
+        jacobians.append(Jacobian(by_terms[None, None] / distance.std, np.arange(terms, terms + len(by_terms))))
+        result.append(Block(np.array([[(length - distance.metres) / distance.std]]), tuple(jacobians)))
+    return result
+
+
+def relation_step(relation: KnownRelation, boards: BoardPoses) -> tuple[Array, Array, Array]:
+    """Return the step (6,) from a known relation to that of the boards' poses, and its derivatives (6, 6) by the steps
+    of both of them.
+    """
+    back = boards.rotations[relation.target].T
+    arm = boards.translations[relation.source] - boards.translations[relation.target]
+    turned = so3.log(back @ boards.rotations[relation.source] @ relation.pose.rotation.T)
+    apart = np.concatenate([back @ arm - relation.pose.translation, turned])
+    by_turn = np.linalg.inv(so3.exp_jacobian(turned)) @ back
+    by_source, by_target = np.zeros((POSE, POSE)), np.zeros((POSE, POSE))
+    by_source[:3, :3], by_source[3:, 3:] = back, by_turn
+    by_target[:3, :3], by_target[3:, 3:], by_target[:3, 3:] = -back, -by_turn, back @ so3.hat(arm)
+    return apart, by_target, by_source
+
+
+def distance_of(
+    distance: KnownDistance, boards: BoardPoses, points: Array, basis: Array
+) -> tuple[float, dict[int, Array], Array]:
+    """Return the distance of two points, m, and its derivatives by the steps (6,) of their boards and by terms (S,)."""
+    rotated = [
+        boards.rotations[board] @ points[point] for board, point in zip(distance.boards, distance.points, strict=True)
+    ]
+    ends = [own + boards.translations[board] for own, board in zip(rotated, distance.boards, strict=True)]
+    length = float(np.linalg.norm(ends[0] - ends[1]))
+    axis = (ends[0] - ends[1]) / max(length, 1e-12)
+    by_boards: dict[int, Array] = {}
+    by_terms = np.zeros(basis.shape[2])
+    for sign, board, point, arm in zip((1.0, -1.0), distance.boards, distance.points, rotated, strict=True):
+        by_boards[board] = by_boards.get(board, np.zeros(POSE)) + sign * np.concatenate([axis, np.cross(arm, axis)])
+        by_terms += sign * (axis @ boards.rotations[board]) @ basis[point]
+    return length, by_boards, by_terms
+
+
+def require_measured(known: Measured, boards: BoardPoses, names: Sequence[str], points: Array, basis: Array) -> None:
+    """Raise InsufficientData if captures contradict what is known of boards, once both count."""
+    for relation in known.relations:
+        apart = relation_step(relation, boards)[0]
+        if apart @ np.linalg.solve(relation.covariance, apart) > _CONTRADICTED:
+            name = f"{names[relation.target]}_T_{names[relation.source]}"
+            raise contradicted(name, float(np.linalg.norm(apart[:3])), float(np.linalg.norm(apart[3:])))
+    for distance in known.distances:
+        length, _, _ = distance_of(distance, boards, points, basis)
+        if abs(length - distance.metres) > _FAR * distance.std:
+            text = (
+                f"--distance {distance.words}: contradicts the captures and the other distances, which say "
+                f"{length:.5g} m ({(length - distance.metres) / distance.std:+.1f} standard deviations)"
+            )
+            raise InsufficientData(text, failures=[Message("distance_contradicted", text, {"m": length})])
+
+
+def contradicted(name: str, metres: float, angle: float) -> InsufficientData:
+    """Return the error of a known relation that captures contradict, by so much."""
+    text = f"the given {name} contradicts the captures, by {1e3 * metres:.3g} mm and {np.degrees(angle):.2g}°"
+    return InsufficientData(text, failures=[Message("relation_contradicted", text, {"m": metres, "rad": angle})])
