@@ -18,7 +18,7 @@ LINES = {
     "__main__": 6,
     "arrays": 42,
     "calibrate": 9678,
-    "cameras": 4061,
+    "cameras": 4087,
     "cli": 3707,
     "errors": 137,
     "estimate": 8569,
