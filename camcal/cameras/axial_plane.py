@@ -32,7 +32,8 @@ class AxialPlane(PlaneModel):
 
     def is_pinhole(self, parameters: Array) -> bool:
         """Return whether all that makes the lens another one is zero."""
-        return len(parameters) > len(CORE) and not np.any(parameters[len(CORE) :])
+        own = len(CORE) + len(self._roles.tilt)
+        return len(parameters) > own and not np.any(parameters[len(CORE) :])
 
     def _flatten(self, points: Array, plane: Values) -> Flat:
         x, y, z = points.T

@@ -4,6 +4,7 @@ from collections.abc import Iterator, Mapping
 from importlib import import_module
 
 from camcal.cameras.lens import CameraModel
+from camcal.cameras.plane_model import TILTED, PlaneModel
 from camcal.errors import InvalidInput
 from camcal.parsing import nearest
 
@@ -21,12 +22,19 @@ _FILES = {
 
 
 class _Models(Mapping[str, CameraModel]):
-    """The lens models by name; a file is imported when one of its models is asked for, as a camera needs one alone."""
+    """The lens models by name; a file is imported when one of its models is asked for, as a camera needs one alone.
+
+    A name with TILTED behind it is that lens on a tilted sensor: there, though not among the names.
+    """
 
     def __init__(self) -> None:
         self.files = {name: file for file, names in _FILES.items() for name in names.split()}
 
     def __getitem__(self, name: str) -> CameraModel:
+        if name not in self.files and name.endswith(TILTED):
+            lens = self[name.removesuffix(TILTED)]
+            if isinstance(lens, PlaneModel) and lens.tilted is not None:
+                return lens.tilted
         models: tuple[CameraModel, ...] = import_module(f"camcal.cameras.{self.files[name]}").MODELS
         return next(model for model in models if model.name == name)
 
@@ -48,8 +56,9 @@ def model_named(name: str) -> CameraModel:
     if name in MODELS:
         return MODELS[name]
     aliases = {alias: model for model in MODELS.values() for alias in model.aliases}
-    if name in aliases:
-        return aliases[name]
+    base = name.removesuffix(TILTED)
+    if base in aliases and (known := aliases[base].name + name[len(base) :]) in MODELS:
+        return MODELS[known]
     near = nearest(name, [*MODELS, *aliases])
     hint = f"did you mean {near!r}?" if near else f"use one of {', '.join(MODELS)}"
     raise InvalidInput(f"lens model {name!r} is unknown; {hint}")
@@ -65,4 +74,5 @@ def model_of(name: str, configuration: object = None) -> CameraModel:
 def help_line() -> str:
     """Return the lens models that cameras are calibrated with, as the help of a command names them."""
     lenses = [model for model in MODELS.values() if not model.is_view]
-    return ", ".join(f"{model.name} ({', '.join(model.aliases)})" if model.aliases else model.name for model in lenses)
+    names = [f"{model.name} ({', '.join(model.aliases)})" if model.aliases else model.name for model in lenses]
+    return f"{', '.join(names)}; add {TILTED} for a tilted sensor"

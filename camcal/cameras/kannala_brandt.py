@@ -16,7 +16,7 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.cameras.distortion import Distorted, Roles
 from camcal.cameras.lens import FISHEYE, Parameter
-from camcal.cameras.plane_model import Flat, PlaneModel, Slopes, Values
+from camcal.cameras.plane_model import TILT, Flat, PlaneModel, Slopes, Values
 from camcal.records import Brief
 
 SERIES_ANGLE = 1e-4
@@ -35,7 +35,6 @@ TANGENTIAL = (
 )
 EARLY = tuple(replace(own, role="tangential") for own in TANGENTIAL)
 PRISM = tuple(Parameter(name, "prism", growth=growth) for name, growth in (("s0", 1), ("s1", 3), ("s2", 1), ("s3", 3)))
-TILT = tuple(Parameter(name, "tilt", growth=0, limits=(-math.pi / 2, math.pi / 2)) for name in ("tau_x", "tau_y"))
 # Project Aria counts from 0, and its first tangential coefficient is that of x.
 ARIA = (
     *(replace(own, name=f"k{index}") for index, own in enumerate(RADIAL)),

@@ -8,7 +8,7 @@ Fixed-point iteration, which does for narrow lenses, diverges on wide ones.
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import ClassVar, NamedTuple, Self
 
@@ -25,6 +25,11 @@ CORE = (
     Parameter("cx", stage=2, colour_stage=1),
     Parameter("cy", stage=2, colour_stage=1),
 )
+TILT = tuple(
+    Parameter(name, "tilt", growth=0, typical=typical, limits=(-math.pi / 2, math.pi / 2))
+    for name, typical in (("tau_x", 0.03), ("tau_y", -0.02))
+)
+TILTED = "_tilted"  # behind the name of a lens on a tilted sensor
 PART = 8192
 Values = Sequence[float]
 FAR = 1e6  # the largest radius searched for on an unbounded plane: 1e-6 rad from 90° for a pinhole
@@ -110,6 +115,17 @@ class PlaneModel(ABC):
         if configuration:
             raise InvalidInput(f"model {self.name!r} has no configuration; leave it out")
         return self
+
+    @cached_property
+    def tilted(self) -> Self | None:
+        """This lens on a tilted sensor, whose two angles follow its coefficients; None where that is no other lens, or
+        the sensor is sheared already.
+        """
+        if self.is_view or self.configuration or self._roles.tilt or self._roles.shear:
+            return None
+        summary = f"{self.summary}, on a tilted sensor"
+        coefficients = (*self.coefficients, *TILT)
+        return replace(self, name=self.name + TILTED, coefficients=coefficients, summary=summary, aliases=(), opencv="")
 
     def is_pinhole(self, parameters: Array) -> bool:  # noqa: ARG002
         """Return whether a camera of these parameters (K,) is a pinhole without distortion."""

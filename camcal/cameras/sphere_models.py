@@ -56,8 +56,8 @@ class Ucm(Brief, AxialPlane):
         return np.asarray(np.stack([x, y, z]) / np.sqrt(square + z * z))
 
     def is_pinhole(self, parameters: Array) -> bool:
-        """Return whether α is zero."""
-        return not parameters[len(CORE)]
+        """Return whether α is zero, and the sensor is not tilted."""
+        return not parameters[len(CORE)] and not np.any(parameters[len(CORE) + len(self.plane_parameters) :])
 
     def _reach(self, plane: Values) -> float:
         alpha, beta = _with_beta(plane)

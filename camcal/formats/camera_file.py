@@ -1,7 +1,7 @@
 """Contents of a camera file: named cameras, the transforms between them, and provenance."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -335,6 +335,13 @@ def _rows(joint: JointCovariance, transform: str) -> list[int]:
     return [joint.names.index(name) for name in names] if set(names) <= set(joint.names) else []
 
 
+def named_transform(file: CameraFile, name: str, place: Callable[[str], str] = str) -> NamedTransform:
+    """Return a transform of a file with its covariance; place: what is said of where the one of a name stands."""
+    known = transform_covariances(file, name)
+    cross = {place(other): own for other, own in known.items() if other != name}
+    return NamedTransform(*frames_of(name), file.transforms[name].pose, known.get(name), place(name), cross)
+
+
 def _graph(file: CameraFile) -> FrameGraph:
     return FrameGraph([NamedTransform(*frames_of(name), item.pose) for name, item in file.transforms.items()])
 
@@ -358,13 +365,24 @@ def _rig_covariance(file: CameraFile, derived: Mapping[str, Derived[int]]) -> Fl
     return result if uncertain else None
 
 
-def pose_between(file: CameraFile, target: str, source: str) -> Pose | None:
-    """Return target_T_source by way of the transforms of a file, None if they do not join the two."""
-    graph = _graph(file)
+def transform_between(file: CameraFile, target: str, source: str) -> Transform | None:
+    """Return target_T_source by way of the transforms of a file, with its covariance where all of them have one; None
+    if they do not join the two.
+    """
+    graph, names = _graph(file), list(file.transforms)
     try:
-        return graph.along(graph.path(target, source)).pose
+        derived = graph.along(graph.path(target, source))
     except InvalidInput:
         return None
+    used = {place: named_transform(file, names[place]) for place in derived.by}
+    unknown = any(item.covariance is None for item in used.values())
+    return Transform(derived.pose, None if unknown else derived.covariance_of(used))
+
+
+def pose_between(file: CameraFile, target: str, source: str) -> Pose | None:
+    """Return the pose of `transform_between`."""
+    found = transform_between(file, target, source)
+    return None if found is None else found.pose
 
 
 def _pose(graph: FrameGraph, frame: str, camera: str, where: str) -> Derived[int]:

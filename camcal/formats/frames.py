@@ -20,7 +20,7 @@ from camcal import files
 from camcal.arrays import Array
 from camcal.errors import InvalidInput, Located
 from camcal.formats import cameras, emit, native, poses
-from camcal.formats.camera_file import transform_covariances
+from camcal.formats.camera_file import named_transform
 from camcal.formats.covariance import QUATERNION, why_no_covariance
 from camcal.formats.documents import Check, Document, Fault, child, load_either
 from camcal.formats.native import check_name
@@ -97,13 +97,7 @@ def read(path: str | Path) -> tuple[NamedTransform, ...]:
 def _of_cameras(path: Path, place: Callable[[str], str]) -> tuple[NamedTransform, ...]:
     """Return the transforms of a camera file; place: what a message calls the place of a key path."""
     file = cameras.read(path)
-    places = {name: place(f"transforms.{name}") for name in file.transforms}
-    found = []
-    for name, item in file.transforms.items():
-        known = transform_covariances(file, name)
-        cross = {places[other]: own for other, own in known.items() if other != name}
-        found.append(NamedTransform(*frames_of(name), item.pose, known.get(name), places[name], cross))
-    return tuple(found)
+    return tuple(named_transform(file, name, lambda own: place(f"transforms.{own}")) for name in file.transforms)
 
 
 def read_loose(path: Path) -> tuple[LooseTransform, ...]:

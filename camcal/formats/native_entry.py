@@ -111,7 +111,8 @@ _SHAPE = mapping(
 
 
 def _model(value: Any, path: str) -> Iterator[Fault]:
-    yield from one_of(tuple(MODELS), "model")(value, path)
+    if not isinstance(value, str) or value not in MODELS:
+        yield from one_of(tuple(MODELS), "model")(value, path)
 
 
 _REGION = mapping(

@@ -14,7 +14,7 @@ from camcal.formats import cameras, provenance
 from camcal.formats.camera_file import CameraFile, Framing, framed
 from camcal.formats.cameras.nearest import Nearest, prepared
 from camcal.formats.cameras.recognition import named
-from camcal.formats.cameras.record import CameraFormat, Given
+from camcal.formats.cameras.record import EVERY_LENS, CameraFormat, Given
 from camcal.options import command_line
 from camcal.progress import SILENT, Progress
 from camcal.run.outputs import claim, writes
@@ -95,7 +95,7 @@ def _convert_file(file: CameraFile, output: Path, source: CameraFormat, options:
     target = cameras.format_for(output, wanted, source, by_suffix=one_of_several)
     theta = math.inf if options.max_theta_deg is None else math.radians(options.max_theta_deg)
     refit = None if options.refit is None else model_named(options.refit).name
-    if refit is not None and refit not in target.models:
+    if refit is not None and target.models is not EVERY_LENS and refit not in target.models:
         known = f"{target.title} has the lens models {', '.join(target.models)}"
         raise InvalidInput(f"--refit {options.refit}: {known}", where=str(output))
     found = prepared(file, target, str(output), Nearest(refit, options.max_error_px, theta))

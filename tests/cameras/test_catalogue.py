@@ -34,7 +34,9 @@ def test_names_of_other_tools_are_understood():
 
 
 def test_the_help_names_every_lens_and_no_view():
-    assert set(re.findall(r"\w+", help_line())) == {
+    names, tilted = help_line().split("; ")
+    assert tilted == "add _tilted for a tilted sensor"
+    assert set(re.findall(r"\w+", names)) == {
         name for model in MODELS.values() if not model.is_view for name in (model.name, *model.aliases)
     }
 

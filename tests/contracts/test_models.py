@@ -17,7 +17,12 @@ from camcal.simulate.scene import make_camera
 from camcal.solve.differentiate import central_jacobian
 
 IMAGE_SIZE = (641, 481)
-MODELS = {**REGISTERED, **{model.name: model for model in toy_model.MODELS}}
+# one lens of each kind of plane, on a tilted sensor
+TILTED = [
+    REGISTERED[f"{name}_tilted"]
+    for name in ("pinhole", "opencv8", "eucm", "double_sphere", "mei", "equisolid", "fov", "ptlens", "fisheye624")
+]
+MODELS = {**REGISTERED, **{model.name: model for model in (*toy_model.MODELS, *TILTED)}}
 every_model = pytest.mark.parametrize("model", MODELS.values(), ids=MODELS)
 
 

@@ -286,6 +286,49 @@ def test_depthai_is_in_centimetres_and_realsense_names_its_lenses(tmp_path):
         read(tmp_path, json.dumps(lens | {"model": "inverse_brown_conrady"}), "r.json")
 
 
+BOOFCV = """# Pinhole camera model with radial and tangential distortion
+pinhole:
+  fx: 500.0
+  fy: 501.0
+  cx: 320.5
+  cy: 240.5
+  width: 640
+  height: 480
+  skew: 0.0
+model: MODEL
+"""
+
+
+def test_boofcv_counts_from_the_corner_of_a_pixel_and_a_fisheye_holds_its_focal_length(tmp_path):
+    brown = BOOFCV.replace("MODEL", "pinhole_radial_tangential")
+    brown += "radial_tangential:\n  radial:\n  - -0.25\n  - 0.1\n  t1: 0.001\n  t2: 0.002\n"
+    assert read(tmp_path, brown, "b.yaml").cameras["camera"].camera.parameters.tolist() == [
+        *(500, 501, 320, 240),
+        *(-0.25, 0.1, 0.001, 0.002, 0),
+    ]
+    fisheye = BOOFCV.replace("MODEL", "kannala_brandt") + "symmetric: [2.0, 0.02, -0.01]\nradial: []\ntangent: [0.0]\n"
+    found = read(tmp_path, fisheye, "f.yaml").cameras["camera"].camera
+    assert (found.model.name, *found.parameters) == ("kannala_brandt4", 1000, 1002, 320, 240, 0.01, -0.005, 0, 0)
+    for text, told in (
+        (fisheye.replace("tangent: [0.0]", "tangent: [0.1]"), "tangent: is of an asymmetric lens"),
+        (fisheye.replace("2.0,", "0.0,"), "symmetric: its first number is to be above 0"),
+        (fisheye.replace("-0.01]", "-0.01, 0, 0, 1e-3]"), "symmetric has 5 terms; kannala_brandt is read with 4"),
+        (brown.replace("skew: 0.0", "skew: 0.5"), r"skew: 0\.5 is of a lens that camcal does not have"),
+    ):
+        with pytest.raises(InvalidInput, match=told):
+            read(tmp_path, text, "wrong.yaml")
+
+
+def test_a_pair_of_boofcv_has_the_place_of_the_right_camera_in_the_left(tmp_path):
+    file = CameraFile({"a": CameraEntry(BROWN), "b": CameraEntry(BROWN)}, {"b_T_a": Transform(PLACE)})
+    cameras.write(tmp_path / "pair.yaml", file, FORMATS["boofcv"])
+    assert f"  x: {float(PLACE.inverse().translation[0])!r}" in (tmp_path / "pair.yaml").read_text()
+    found = cameras.read(tmp_path / "pair.yaml").transforms["left_T_right"].pose
+    np.testing.assert_allclose(found.matrix(), PLACE.inverse().matrix(), atol=1e-12)
+    with pytest.raises(InvalidInput, match="BoofCV has no pairs without a transform between them"):
+        cameras.write(tmp_path / "apart.yaml", CameraFile(file.cameras), FORMATS["boofcv"])
+
+
 KITTI = """calib_time: 09-Jan-2012 13:57:47
 S_00: 640 480
 K_00: 500 0 320 0 500 240 0 0 1

@@ -12,7 +12,7 @@ from camcal.cameras.model import Camera
 from camcal.errors import InvalidInput
 from camcal.formats import cameras
 from camcal.formats.camera_file import CameraEntry, CameraFile, Transform
-from camcal.geometry.pose import Pose
+from camcal.geometry.pose import Pose, inverse_jacobian
 
 LENS = Camera(MODELS["kannala_brandt4"], (64, 48), [20.0, 20.5, 30, 25, 0.01, 0, 0, 0])
 RIGHT_T_LEFT = Pose.from_vector(np.array([0.3, -0.4, 0.2]), np.array([-0.11, 0.02, 0.03]))
@@ -76,6 +76,18 @@ def test_a_camera_on_a_hand_hangs_on_the_hand_and_what_is_not_joined_is_said(tmp
     xyz = np.array(joint.find("origin").get("xyz").split(), float)
     np.testing.assert_allclose(xyz, IMU_T_LEFT.translation, atol=1e-12)
     assert cameras.left_out(file, cameras.FORMATS["urdf"]) == ("base_T_board",)
+
+
+def test_covariances_of_transforms_stand_beside_them_as_ros_has_them(tmp_path):
+    spread = np.diag(np.arange(1.0, 7.0) * 1e-6)
+    spread[0, 4] = spread[4, 0] = 5e-7
+    file = CameraFile({"camera": CameraEntry(LENS)}, {"camera_T_hand": Transform(IMU_T_LEFT.inverse(), spread)})
+    back = inverse_jacobian(IMU_T_LEFT.inverse())
+    for name in ("hand.urdf", "hand.launch"):
+        (found,) = re.findall(r"<!-- covariance .*m and rad: (.*) -->", write(tmp_path / name, file).read_text())
+        numbers = np.array(found.split(), float).reshape(6, 6)
+        np.testing.assert_allclose(numbers, back @ spread @ back.T, rtol=1e-9, atol=1e-18)
+        assert "covariance" not in write(tmp_path / f"rig{name}").read_text()
 
 
 def channels(path, names, shape):

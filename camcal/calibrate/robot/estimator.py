@@ -125,7 +125,7 @@ def _estimate(problem: RobotProblem, state: RobotState) -> RobotEstimate:
         if converged:
             break
     solution = minimise(problem, state, _STOPPING)
-    joint, scatter = _covariance(problem, solution.factors())
+    joint, scatter = _covariance(problem, solution.state, solution.factors())
     return RobotEstimate(
         problem,
         solution.state,
@@ -162,7 +162,7 @@ def _systematic(found: RobotEstimate) -> dict[str, tuple[float, float]]:
         return {}
     try:
         solution = minimise(tested, state, _STOPPING)
-        joint, _ = _covariance(tested, solution.factors())
+        joint, _ = _covariance(tested, solution.state, solution.factors())
     except (SingularError, np.linalg.LinAlgError):
         return {}  # poses that leave it open
     std = np.sqrt(np.diag(joint))[-len(tested.free) :]
@@ -193,17 +193,22 @@ def _residuals_and_spent(problem: RobotProblem, state: RobotState, factors: Fact
     return residuals, np.minimum(spent, 3.0).T
 
 
-def _covariance(problem: RobotProblem, factors: Factors) -> tuple[Array, float]:
+def _covariance(problem: RobotProblem, state: RobotState, factors: Factors) -> tuple[Array, float]:
     """Return the covariance (S, S) of the shared parameters, of its own ones no less than the scatter from pose to pose
     says, and that scatter: its variance over what the noise says.
+
+    Weights cost a part of what the robot's poses say, and nothing of what corners and priors do.
     """
     claimed, size = factors.shared_covariance(), problem.own
-    own = claimed[-size:, -size:] * _INFORMATION
+    shift, turn = (sigma * float(np.sqrt(_INFORMATION)) for sigma in problem.robot.sigmas)
+    less = replace(problem, robot=replace(problem.robot, sigmas=(shift, turn)))
+    covariance = minimise(less, state, _STOPPING).factors().shared_covariance()
+    own = covariance[-size:, -size:]
     count = len(problem.robot.captures)
     steps = factors.group_scores()[problem.robot.captures] @ claimed[:, -size:]
     scatter = steps.T @ steps * count / max(count - 2, 1)  # two poses' worth of six coordinates are spent
     root = np.linalg.inv(np.linalg.cholesky(own))
     ratio = float(np.trace(root @ scatter @ root.T) / size)
     wider = np.ones(len(claimed))
-    wider[-size:] = np.sqrt(_INFORMATION * max(ratio, 1.0))
-    return claimed * np.outer(wider, wider), ratio
+    wider[-size:] = np.sqrt(max(ratio, 1.0))
+    return covariance * np.outer(wider, wider), ratio

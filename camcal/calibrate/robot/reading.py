@@ -18,14 +18,16 @@ LEAST_POSES = 5
 _BETTER = 3.0  # times: by so much another reading has to fit better than the one that was said
 _SHIFTS = (1, -1, 2, -2)
 _AXES = 0.15  # of the spread of turns about the first axis, that about the second
-_LEAST_TURN = np.radians(5.0)
+_LEAST_TURN = 0.0873  # rad
 _BLOCK = 3  # poses that stand apart at the least
-_MOVED, _APART = 25.0, 4.0  # F of the difference of two means, and that in standard deviations of one coordinate
-_SAME = (1e-5, np.radians(0.005))  # m and rad
+_MOVED = 25.0  # F of the difference of two means
+_APART = 4.0  # that difference, in standard deviations of one coordinate
+_SAME_PLACE = 1e-5  # m
+_SAME_TURN = 9e-5  # rad
 _TINY = 1e-7
 _FARTHEST = 20.0  # m, of a board
 _MILLI = 1e-3
-_ROUNDED = np.radians(0.01)  # of angles in a list
+_ROUNDED = 1.7e-4  # rad, of angles in a list
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,5 +150,5 @@ def duplicates(poses: Poses) -> int:
     """Return how many poses are the same as one before."""
     apart = np.linalg.norm(poses.translations[:, None] - poses.translations[None], axis=2)
     turned = np.linalg.norm(so3.log(poses.rotations[:, None].swapaxes(-1, -2) @ poses.rotations[None]), axis=2)
-    same = (apart < _SAME[0]) & (turned < _SAME[1])
+    same = (apart < _SAME_PLACE) & (turned < _SAME_TURN)
     return int(np.triu(same, 1).any(axis=0).sum())

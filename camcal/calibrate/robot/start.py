@@ -15,7 +15,7 @@ from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
 
 _MOST_PAIRS = 4000
-_LEAST_TURN = np.radians(3.0)  # of a pair whose axis counts
+_LEAST_TURN = 0.0524  # rad, of a pair whose axis counts
 _ROUNDS = 20
 _SCALE = 1.4826  # of a median, to a standard deviation
 _REACH = 2.0  # standard deviations at which a Cauchy weight has fallen to a half

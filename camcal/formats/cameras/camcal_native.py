@@ -4,11 +4,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from camcal import files
-from camcal.cameras.catalogue import MODELS
 from camcal.errors import InvalidInput
 from camcal.formats import documents, native
 from camcal.formats.camera_file import CameraFile
-from camcal.formats.cameras.record import CameraFormat, Given, Source
+from camcal.formats.cameras.record import EVERY_LENS, CameraFormat, Given, Source
 
 
 def read(sources: Sequence[Source], given: Given) -> CameraFile:
@@ -32,7 +31,7 @@ FORMAT = CameraFormat(
     name="camcal",
     title="camcal's own",
     suffixes=(".yaml", ".yml"),
-    models=tuple(MODELS),
+    models=EVERY_LENS,
     read=read,
     write=write,
 )

@@ -128,7 +128,7 @@ def expressed(camera: Camera, models: Sequence[str]) -> Camera | None:
 
     Within a family of models the same name is the same coefficient, and one that is 0 may as well not be there.
     """
-    if camera.model.name in models:
+    if models is EVERY_LENS or camera.model.name in models:
         return camera
     values = dict(zip(camera.model.parameter_names, camera.parameters.tolist(), strict=True))
     for model in (MODELS[name] for name in models):

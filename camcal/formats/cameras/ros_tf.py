@@ -9,7 +9,7 @@ from xml.sax.saxutils import quoteattr
 from camcal import files
 from camcal.formats.camera_file import CameraFile
 from camcal.formats.cameras.record import ANY_FRAME, EVERY_LENS, CameraFormat, write_only
-from camcal.formats.cameras.urdf import NO_LENSES, frames_in_root
+from camcal.formats.cameras.urdf import COVARIANCE, NO_LENSES, covariance_lines, frames_in_root
 from camcal.formats.emit import exact_text
 from camcal.geometry import rotation
 
@@ -23,11 +23,13 @@ def write(path: Path, file: CameraFile) -> None:
     old = path.suffix.lower() == _ROS_1
     run = "type" if old else "exec"
     lines = ["<launch>"]
-    for name, pose in poses.items():
+    for name, item in poses.items():
+        pose = item.pose
         w, *imaginary = rotation.to_quaternion(pose.rotation).tolist()
         values = [*(exact_text(value) for value in (*pose.translation.tolist(), *imaginary, w)), root, name]
         words = values if old else [f"--{key} {value}" for key, value in zip(_KEYS, values, strict=True)]
         node = f'  <node pkg="tf2_ros" {run}="static_transform_publisher" name={quoteattr(f"{name}_publisher")}'
+        lines += [f"  {line}" for line in covariance_lines(item)]
         lines.append(f"{node} args={quoteattr(' '.join(words))}/>")
     files.write_text(path, "\n".join([*lines, "</launch>", ""]))
 
@@ -39,7 +41,8 @@ FORMAT = CameraFormat(
     models=EVERY_LENS,
     read=write_only("ROS launch file"),
     write=write,
-    poses="static_transform_publisher: root_T_frame, quaternion x y z w",
+    poses="static_transform_publisher: root_T_frame, quaternion x y z w; covariance as a comment",
+    keeps=COVARIANCE,
     note=NO_LENSES,
     frames=ANY_FRAME,
 )

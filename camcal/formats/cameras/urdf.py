@@ -1,4 +1,4 @@
-"""URDF: where the cameras of a rig stand, as links of a robot; lenses are not part of it.
+"""URDF: where the cameras of a rig stand, as links of a robot; lenses are not part of it, covariances are comments.
 
 A link named CAMERA_optical_frame has the axes of a camera's image: x right, y down, z forward (REP 103). The origin of
 a joint is parent_T_child; rpy turn about the fixed axes x, y, z, in this order.
@@ -9,18 +9,19 @@ from xml.sax.saxutils import quoteattr
 
 from camcal import files
 from camcal.errors import InvalidInput
-from camcal.formats.camera_file import CameraFile, pose_between, rig_of
+from camcal.formats.camera_file import CameraFile, Transform, pose_between, rig_of, transform_between
 from camcal.formats.cameras.record import ANY_FRAME, EVERY_LENS, CameraFormat, write_only
 from camcal.formats.emit import exact_text
 from camcal.geometry import rotation
-from camcal.geometry.pose import Pose, frames_of
+from camcal.geometry.pose import frames_of
 
 OPTICAL = "_optical_frame"
+COVARIANCE = frozenset({"covariance of transforms"})
 NO_LENSES = "lenses are not part of it: write camera_info as well, --to ros"
 _ABOUT_FIXED_AXES = rotation.EulerOrder("xyz", intrinsic=False)
 
 
-def frames_in_root(path: Path, file: CameraFile) -> tuple[str, dict[str, Pose]]:
+def frames_in_root(path: Path, file: CameraFile) -> tuple[str, dict[str, Transform]]:
     """Return the name of the frame that all others of a file hang on, and root_T_frame of these, by ROS's names.
 
     That is the rig's, or what a single camera is mounted on, such as a hand. Raises InvalidInput where transforms do
@@ -31,18 +32,27 @@ def frames_in_root(path: Path, file: CameraFile) -> tuple[str, dict[str, Pose]]:
     every = dict.fromkeys((*rig.cameras, *(frame for name in file.transforms for frame in frames_of(name))))
     if len(file.cameras) == 1:
         root = next((each for each in every if each != root and pose_between(file, each, root) is not None), root)
-    poses = {frame: pose_between(file, root, frame) for frame in every if frame != root}
+    poses = {frame: transform_between(file, root, frame) for frame in every if frame != root}
     if not poses:
         raise InvalidInput("has no transforms: such a file says where cameras stand", where=str(path))
     found = {names.get(frame, frame): pose for frame, pose in poses.items() if pose is not None}
     return names.get(root, root), found
 
 
+def covariance_lines(transform: Transform) -> list[str]:
+    """Return a comment with a covariance in ROS's order, which is the one of steps here; none where it is not known."""
+    if transform.covariance is None:
+        return []
+    numbers = " ".join(map(exact_text, transform.covariance.ravel().tolist()))
+    return [f"<!-- covariance of geometry_msgs/PoseWithCovariance, m and rad: {numbers} -->"]
+
+
 def write(path: Path, file: CameraFile) -> None:
     """Write the frames as links on one root; raises InvalidInput as `frames_in_root` does, FileError."""
     root, poses = frames_in_root(path, file)
     lines = ['<?xml version="1.0"?>', '<robot name="rig">', f"  <link name={quoteattr(root)}/>"]
-    for name, pose in poses.items():
+    for name, item in poses.items():
+        pose = item.pose
         angles = rotation.to_euler(pose.rotation, _ABOUT_FIXED_AXES)[0]
         xyz, rpy = (" ".join(map(exact_text, values.tolist())) for values in (pose.translation, angles))
         lines += [
@@ -51,6 +61,7 @@ def write(path: Path, file: CameraFile) -> None:
             f"    <parent link={quoteattr(root)}/>",
             f"    <child link={quoteattr(name)}/>",
             f'    <origin xyz="{xyz}" rpy="{rpy}"/>',
+            *(f"    {line}" for line in covariance_lines(item)),
             "  </joint>",
         ]
     files.write_text(path, "\n".join([*lines, "</robot>", ""]))
@@ -63,7 +74,8 @@ FORMAT = CameraFormat(
     models=EVERY_LENS,
     read=write_only("URDF robot"),
     write=write,
-    poses="origin: root_T_frame, rpy about fixed axes",
+    poses="origin: root_T_frame, rpy about fixed axes; covariance as a comment",
+    keeps=COVARIANCE,
     note=NO_LENSES,
     frames=ANY_FRAME,
 )

@@ -35,6 +35,7 @@ from camcal.tasks.calibration.handeye_options import BASE_T_HAND, HAND_T_BASE, U
 
 _LATEST_STAMP = 1e11  # s: a larger number is in ns
 _NS = 1e-9
+_INSIDE = 0.5  # of the images' times, within those of the poses
 _HEAD = 1000  # letters, in which a file of camcal says what it is
 
 
@@ -93,7 +94,7 @@ def by_time(rows: robot_poses.RobotRows, times: Sequence[float | None]) -> bool:
     if rows.names is not None or rows.times is None or len(known) < len(times):
         return False
     inside = (known >= rows.times[0]) & (known <= rows.times[-1])
-    return bool(len(known) and inside.mean() > 0.5)
+    return bool(len(known) and inside.mean() > _INSIDE)
 
 
 def places_of(names: Sequence[str], listed: int, shown: Array, rows: robot_poses.RobotRows, where: str) -> Array:
