@@ -31,6 +31,7 @@ from camcal.tasks.calibration.options import (
     MixedSizes,
     Parts,
     Refine,
+    RollingShutter,
     SaveDetections,
     require_positive,
 )
@@ -197,6 +198,15 @@ class RigSettings(OptionsRecord):
             group=METHOD,
         ),
     ] = None
+    time_offset: Annotated[
+        bool,
+        Option(
+            "Estimate the time offset and the clock rate of every camera against the first from the motion of the "
+            "board: images need times; all frames of videos are used.",
+            group=METHOD,
+        ),
+    ] = False
+    rolling_shutter: RollingShutter = False
     mixed_sizes: MixedSizes = False
     save_detections: SaveDetections = None
     require: Annotated[
@@ -220,8 +230,15 @@ class RigSettings(OptionsRecord):
         require_positive(self.max_uncertainty)
         if self.lenses != JOINT and not self.guess:
             raise InvalidInput(f"--lenses {self.lenses} needs the lenses: give --guess FILE, or --guess NAME=FILE")
+        if self.timed and self.match not in (AUTO, TIME):
+            raise InvalidInput(f"--time-offset and --rolling-shutter match by time, not by {self.match}")
         if self.tolerance is not None and self.match in (NAME, INDEX):
             raise InvalidInput(f"--time-tolerance goes with --match {TIME}, not with --match {self.match}")
+
+    @property
+    def timed(self) -> bool:
+        """Whether images have times of their own, and are no captures yet."""
+        return self.time_offset or self.rolling_shutter
 
 
 DEFAULTS = RigSettings()
