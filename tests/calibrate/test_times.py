@@ -18,6 +18,7 @@ from camcal.calibrate.timing.problem import TimedCorners, TimeProblem, TimeState
 from camcal.calibrate.timing.spline import Knots, Motion, motion_through
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.geometry import rotation as so3
+from camcal.geometry.pose import Pose
 from camcal.solve.chains import WIDTH, ChainEquations, ChainFactors
 from camcal.solve.least_squares import assemble
 from camcal.solve.steps import NormalEquations, Step
@@ -262,13 +263,23 @@ def test_cameras_that_see_other_motions_have_none_in_common():
 
 
 def test_an_even_motion_in_one_direction_does_not_tell_the_offset():
-    tilts = by_hand(np.random.default_rng(6), 0.02, 1e-5)
-    even = replace(tilts, amplitudes=tilts.amplitudes.copy(), rates=tilts.rates.copy(), phases=tilts.phases.copy())
-    even.amplitudes[:3] = 0
-    even.amplitudes[0, 0], even.rates[0, 0], even.phases[0, 0] = 0.04 / 1e-3, 1e-3, -2.5e-3
-    cameras = two_cameras(even, 150)
-    times = time_cameras(cameras, offsets=False, shutter=False)
-    assert times.cameras["right"].offset_std == 0  # nothing was asked for
+    """Its poses are the true ones: of such views alone no lens would be accepted."""
+    rng = np.random.default_rng(6)
+    even = by_hand(rng, 0.02, 1e-5, sweep=0)
+    even.amplitudes[:3], even.amplitudes[0, 0] = 0, 40.0
+    even.rates[0, 0], even.phases[0, 0] = 1e-3, -2.5e-3  # 40 mm/s along x
+    centre, cameras = BOARD.points().mean(axis=0), {}
+    for name, own in {"left": Clocked(), "right": Clocked(**RIGHT)}.items():
+        views = own.views(even, 150, rng, name=name)
+        lens = lens_of(own.views(by_hand(rng), 40, rng))
+        turned, moved = even.at(np.array([view.time for view in views]))
+        [turn] = rotations(np.array([own.turn], float))
+        poses = [Pose(turn @ r, turn @ (t - r @ centre) + own.place) for r, t in zip(turned, moved, strict=True)]
+        records = [
+            replace(lens.views[0], image=view.image, camera_T_board=pose)
+            for view, pose in zip(views, poses, strict=True)
+        ]
+        cameras[name] = TimedCamera(replace(lens, views=tuple(records)), views, as_designed=True)
     times = time_cameras(cameras, offsets=True, shutter=False)
     assert {warning.code for warning in times.warnings} == {"undetermined_time_offset"}
-    assert "one direction" in times.warnings[0].text
+    assert "to and fro" in times.warnings[0].text
