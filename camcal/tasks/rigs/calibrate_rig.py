@@ -32,7 +32,7 @@ from camcal.tasks.calibration.camera_result import RefinementSummary
 from camcal.tasks.calibration.images_again import refine_corners
 from camcal.tasks.figure_files import figure_data, write_figures
 from camcal.tasks.rigs.options import PRIOR, RigSettings, RigTaskOptions, StereoCalibrateOptions
-from camcal.tasks.rigs.rig_boards import bodies_of, measured_of
+from camcal.tasks.rigs.rig_boards import bodies_of, measured_of, require_size
 from camcal.tasks.rigs.rig_lenses import (
     GivenLens,
     RigModels,
@@ -44,7 +44,7 @@ from camcal.tasks.rigs.rig_lenses import (
     starting,
 )
 from camcal.tasks.rigs.rig_result import CameraResult, RigReport, rig_file
-from camcal.tasks.rigs.rig_views import RigViews, require_size, rig_views, with_circles
+from camcal.tasks.rigs.rig_views import RigViews, rig_views, with_circles
 
 
 @writes

@@ -35,7 +35,7 @@ from camcal.tasks.rigs.matching import (
     with_own_times,
 )
 from camcal.tasks.rigs.options import AUTO, TIME, RigSettings
-from camcal.tasks.rigs.rig_boards import asked_board, require_other_names
+from camcal.tasks.rigs.rig_boards import asked_board, require_other_names, require_size
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,15 +101,6 @@ def rig_views(inputs: Sequence[str], settings: RigSettings, progress: Progress, 
     return replace(found, lines=lines + found.lines)
 
 
-def require_size(board: Board) -> None:
-    """Raise InvalidInput for a board without a metric size: distances between cameras would have no scale."""
-    if board.unit != "m":
-        raise InvalidInput(
-            f"a {board.words} of unknown size gives no distances between cameras: give it in --board, such as "
-            "chessboard:9x6:25mm"
-        )
-
-
 def captured(
     board: Board, views: Mapping[str, Sequence[BoardDetection]], settings: RigSettings, progress: Progress
 ) -> RigViews:
@@ -128,7 +119,7 @@ def captured(
         Message("camera_without_board", f"camera {name}: none of {len(named[name])} images shows the board: left out")
         for name in blind
     ]
-    if result.unmatched and not settings.timed:
+    if result.unmatched:
         values = {"images": tuple(result.unmatched)}
         warnings.append(Message("unmatched_images", unmatched_words(result.unmatched), values))
     warn_of(warnings, progress)
