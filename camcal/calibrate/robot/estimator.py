@@ -125,7 +125,7 @@ def _estimate(problem: RobotProblem, state: RobotState) -> RobotEstimate:
         if converged:
             break
     solution = minimise(problem, state, _STOPPING)
-    joint, scatter = _covariance(problem, solution.state, solution.factors())
+    joint, scatter = _covariance(problem, solution.state, solution.factors(), dof)
     return RobotEstimate(
         problem,
         solution.state,
@@ -152,8 +152,8 @@ def _with_noise(rig: Any, state: RobotState, factors: Factors) -> Any:
 
 
 def _systematic(found: RobotEstimate) -> dict[str, tuple[float, float]]:
-    """Return what is systematically wrong with the robot's poses, as it was estimated or would be with this noise, and
-    its standard deviation.
+    """Return what is systematically wrong with the robot's poses, as it was estimated or would be with the noise that is
+    left then, and its standard deviation.
     """
     problem, state = found.problem, found.state
     known = () if problem.robot.velocities is None else (1,)
@@ -161,13 +161,12 @@ def _systematic(found: RobotEstimate) -> dict[str, tuple[float, float]]:
     if len(tested.robot.captures) * POSE < 3 * tested.own:
         return {}
     try:
-        solution = minimise(tested, state, _STOPPING)
-        joint, _ = _covariance(tested, solution.state, solution.factors())
+        other = found if tested.free == problem.free else _estimate(tested, state)
     except (SingularError, np.linalg.LinAlgError):
         return {}  # poses that leave it open
-    std = np.sqrt(np.diag(joint))[-len(tested.free) :]
+    std = np.sqrt(np.diag(other.joint))[-len(tested.free) :]
     return {
-        SYSTEMATIC[place]: (float(solution.state.systematic[place]), float(own))
+        SYSTEMATIC[place]: (float(other.state.systematic[place]), float(own))
         for place, own in zip(tested.free, std, strict=True)
     }
 
@@ -193,15 +192,16 @@ def _residuals_and_spent(problem: RobotProblem, state: RobotState, factors: Fact
     return residuals, np.minimum(spent, 3.0).T
 
 
-def _covariance(problem: RobotProblem, state: RobotState, factors: Factors) -> tuple[Array, float]:
+def _covariance(problem: RobotProblem, state: RobotState, factors: Factors, dof: Array) -> tuple[Array, float]:
     """Return the covariance (S, S) of the shared parameters, of its own ones no less than the scatter from pose to pose
     says, and that scatter: its variance over what the noise says.
 
-    Weights cost a part of what the robot's poses say, and nothing of what corners and priors do.
+    Weights cost a part of what the robot's poses say, and nothing of what corners and priors do; noise that is itself
+    estimated, with `dof` (2,) degrees of freedom, makes errors those of a t distribution.
     """
     claimed, size = factors.shared_covariance(), problem.own
-    shift, turn = (sigma * float(np.sqrt(_INFORMATION)) for sigma in problem.robot.sigmas)
-    less = replace(problem, robot=replace(problem.robot, sigmas=(shift, turn)))
+    shift, turn = np.array(problem.robot.sigmas) * np.sqrt(_INFORMATION * dof / np.maximum(dof - 2.0, 1.0))
+    less = replace(problem, robot=replace(problem.robot, sigmas=(float(shift), float(turn))))
     covariance = minimise(less, state, _STOPPING).factors().shared_covariance()
     own = covariance[-size:, -size:]
     count = len(problem.robot.captures)
