@@ -1,6 +1,7 @@
 """A real robot through `camcal handeye`, beside what others published of it."""
 
 import re
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -15,16 +16,19 @@ from camcal.cameras.observations import Observations
 from camcal.formats import cameras, detections
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
+from camcal.tasks.calibration.calibrate import calibrate
+from camcal.tasks.calibration.handeye import handeye
+from camcal.tasks.calibration.handeye_options import HandEyeOptions
+from camcal.tasks.calibration.options import CalibrateOptions
 
 PUBLISHED = np.array([0.05772, -0.03392, -0.04228])  # of eMc, by ViSP, with residuals of 5.4 mm and 0.46°
 COUNT = 8
 
 
 @pytest.fixture
-def franka(real_data, run, tmp_path, monkeypatch):
-    """Corners, a camera file, and the poses of the hand with the names of their images."""
+def franka(real_data, tmp_path):
+    """A folder with a camera file, corners, and the poses of the hand with the names of their images; these poses."""
     folder = real_data / "pnp" / "visp-handeye-chessboard"
-    monkeypatch.chdir(tmp_path)
     robot = []
     for number in range(1, COUNT + 1):
         text = (folder / f"franka_pose_rPe_{number}.yaml").read_text()
@@ -32,23 +36,33 @@ def franka(real_data, run, tmp_path, monkeypatch):
     named = zip(range(1, COUNT + 1), robot, strict=True)
     lines = [f"franka_image-{number}.png,{','.join(map(str, row))}" for number, row in named]
     (tmp_path / "robot.csv").write_text("\n".join(lines))
-    assert run("detect", folder, "--board", "chessboard:9x6:23.6mm", "-o", "corners.csv")[0] == 0
-    assert run("calibrate", "corners.csv", "-o", "camera.yaml")[0] == 0
+    calibrate(
+        CalibrateOptions(
+            (str(folder),),
+            board="chessboard:9x6:23.6mm",
+            output=tmp_path / "camera.yaml",
+            save_detections=tmp_path / "corners.csv",
+        )
+    )
     return tmp_path, [Pose.from_vector(row[3:], row[:3]) for row in robot]
 
 
-def test_a_camera_on_a_real_hand_is_where_visp_has_it_and_its_wrong_lengths_are_told(franka, run):
+def test_a_camera_on_a_real_hand_is_where_visp_has_it_and_its_wrong_lengths_are_told(franka):
     folder, _ = franka
-    code, out, err = run("handeye", "camera.yaml", "corners.csv", "--robot", "robot.csv", "-o", "hand.yaml")
-    assert code == 0, err
-    assert "read as rvec:rad, base_T_hand, m" in out
-    found = cameras.read(folder / "hand.yaml").transforms["hand_T_camera"]
+    options = HandEyeOptions(
+        str(folder / "camera.yaml"), (str(folder / "corners.csv"),), folder / "robot.csv", output=folder / "hand.yaml"
+    )
+    report = handeye(options)
+    assert report.words == "rvec:rad, base_T_hand, m"
+    found = report.transforms["hand_T_camera"]
     std = np.sqrt(np.diag(found.covariance))[:3]
     assert (np.abs(found.pose.translation - PUBLISHED) < 2 * std).all()
     # a robot of 0.1 mm that is off by 3 mm: its noise is 0.8 mm once the lengths are free
-    assert re.search(r"the robot's lengths are 13 ± 1 % too long against the board's", err)
-    code, out, _ = run("handeye", "camera.yaml", "corners.csv", "--robot", "robot.csv", "--robot-scale", "-o", "x.yaml")
-    assert float(re.search(r"position (\S+) mm", out)[1]) < 1.0
+    assert report.systematic["scale"][0] == pytest.approx(-0.13, abs=0.01)
+    assert "robot_scale" in [each.code for each in report.warnings]
+    assert report.noise[0][0] > 2.5e-3
+    free = handeye(replace(options, robot_scale=True, output=folder / "free.yaml"))
+    assert free.noise[0][0] < 1e-3
 
 
 @pytest.mark.slow
