@@ -115,8 +115,7 @@ def _estimate(problem: RobotProblem, state: RobotState) -> RobotEstimate:
         sigmas = np.maximum(np.sqrt((weights * squares).sum(axis=1) / (_CONSISTENT * dof)), _LEAST)
         # what corners and the other poses leave of a pose's coordinates is smaller than its noise
         left = np.maximum(POSE - spent.sum(axis=0), POSE * _LEFT)
-        distances = (squares / sigmas[:, None] ** 2).sum(axis=0) * POSE / left
-        weights = (_DOF + POSE) / (_DOF + distances)
+        weights = (_DOF + POSE) / (_DOF + _as_of_six((squares / sigmas[:, None] ** 2).sum(axis=0), left))
         robot = replace(problem.robot, sigmas=(float(sigmas[0]), float(sigmas[1])), weights=weights)
         problem = replace(problem, rig=_with_noise(problem.rig, state, factors), robot=robot)
         # noise that is far below what the corners leave open falls for ever: it is none
@@ -140,6 +139,16 @@ def _estimate(problem: RobotProblem, state: RobotState) -> RobotEstimate:
     )
 
 
+def _as_of_six(squares: Array, freedom: Array) -> Array:
+    """Return what is as likely of χ² with 6 degrees of freedom as squares (N,) of it with so many (N,).
+
+    Source: Wilson & Hilferty, Proceedings of the National Academy of Sciences 17, 1931.
+    """
+    spread, of_six = 2 / (9 * freedom), 2 / (9 * POSE)
+    deviations = (np.cbrt(squares / freedom) - 1 + spread) / np.sqrt(spread)
+    return np.asarray(POSE * np.maximum(1 - of_six + deviations * np.sqrt(of_six), 0.0) ** 3)
+
+
 def _with_noise(rig: Any, state: RobotState, factors: Factors) -> Any:
     """Return the problem of the captures with the noise of poses that were given without one."""
     if not isinstance(rig, SeenPoses) or rig.covariances is not None:
@@ -152,8 +161,8 @@ def _with_noise(rig: Any, state: RobotState, factors: Factors) -> Any:
 
 
 def _systematic(found: RobotEstimate) -> dict[str, tuple[float, float]]:
-    """Return what is systematically wrong with the robot's poses, as it was estimated or would be with the noise that is
-    left then, and its standard deviation.
+    """Return what is systematically wrong with the robot's poses, as it was estimated or would be, and its standard
+    deviation, with the noise that is left then.
     """
     problem, state = found.problem, found.state
     known = () if problem.robot.velocities is None else (1,)
