@@ -15,7 +15,7 @@ from camcal.solve.steps import Block, Jacobian
 
 _CONTRADICTED = 30.0  # of χ² of six coordinates: one in 25 000 relations that are right
 _FAR = 4.5  # standard deviations of a distance
-_SAID = 1e-6  # share of what is left of a variance, from which on other things say something
+_SAID = 1e-6  # share of a variance that is left by other things, from which on they say something
 
 
 @dataclass(frozen=True, eq=False)

@@ -25,7 +25,8 @@ from camcal.messages import Message
 from camcal.targets.board import Board
 
 _LEAST_MOTIONS = 4  # captures from which a motion links groups of cameras
-_APART, _TURNED = 0.05, np.radians(5.0)  # of the distance of the boards, and rad: boards that are not joined
+_APART = 0.05  # of the distance of the boards: boards that are not joined
+_TURNED_DEG = 5.0
 _MISFIT = 0.1  # of what a body moves by: a motion that is not that of one body
 
 
@@ -217,7 +218,7 @@ class _Sightings:
         apart = np.linalg.norm(seen.translation - relation.pose.translation)
         turned = np.linalg.norm(so3.log(seen.rotation @ relation.pose.rotation.T))
         spread = np.sqrt([np.trace(relation.covariance[:3, :3]), np.trace(relation.covariance[3:, 3:])])
-        if apart > _APART * far + 5 * spread[0] or turned > _TURNED + 5 * spread[1]:
+        if apart > _APART * far + 5 * spread[0] or turned > np.radians(_TURNED_DEG) + 5 * spread[1]:
             names = [self.rows.boards[board] for board in (relation.target, relation.source)]
             raise contradicted(f"{names[0]}_T_{names[1]}", float(apart), float(turned))
 
@@ -230,7 +231,7 @@ class _Sightings:
             pose, poses, far = found
             shifts = np.linalg.norm(poses.translations - pose.translation, axis=1)
             turns = np.linalg.norm(so3.log(pose.rotation.T @ poses.rotations), axis=1)
-            if np.median(shifts) > _APART * far or np.median(turns) > _TURNED:
+            if np.median(shifts) > _APART * far or np.degrees(np.median(turns)) > _TURNED_DEG:
                 names = [self.rows.boards[min(self.boards.members[place])] for place in (one, other)]
                 text = (
                     f"boards {names[0]} and {names[1]} move against each other, by {1e3 * np.median(shifts):.2g} mm "
@@ -275,7 +276,7 @@ class _Sightings:
             return False
         _, first, second, body, beside, carried, seen = best
         fit = closed_form(stacked(carried), stacked(seen))
-        if np.median(fit.shifts) > _MISFIT * fit.reach or np.median(fit.turns) > _TURNED:
+        if np.median(fit.shifts) > _MISFIT * fit.reach or np.degrees(np.median(fit.turns)) > _TURNED_DEG:
             boards = " and ".join(self.rows.boards[min(self.boards.members[place])] for place in (body, beside))
             text = (
                 f"captures do not fit boards {boards} that are joined: they move against each other, or captures are "
