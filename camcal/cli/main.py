@@ -48,7 +48,7 @@ COMMANDS = (
     Entry("rerun", "inspect:rerun", "Calibrate again from a report and compare."),
     Entry("undistort", "undistort:undistort", "Undistort images, videos or points."),
     Entry("plot", "inspect:plot", "Draw figures of result files."),
-    Entry("convert", "inspect:convert", "Convert camera files from and to OpenCV, ROS and Kalibr."),
+    Entry("convert", "inspect:convert", "Convert camera files from and to those of other programs."),
     Entry("inspect", "inspect:inspect", "Show a camera file or a raw frame."),
     Entry("handeye", "poses:handeye", "Calibrate where a camera stands on a robot."),
     Entry("check", "inspect:check", "Check by new images whether a calibration still holds."),

@@ -128,3 +128,13 @@ def test_the_table_of_camera_formats_is_what_the_formats_say():
     page = with_formats(PAGE, list(FORMATS.values())[1:])
     assert "| `camcal` |" not in page
     assert with_formats(page, FORMATS.values()) == PAGE, WRITE
+
+
+def test_the_comparison_counts_lens_models_and_the_formats_that_are_read_and_written():
+    parametric = [name for name, model in MODELS.items() if not model.is_view and name != "splined_stereographic"]
+    others = [form for name, form in FORMATS.items() if name != "camcal"]
+    read = [form for form in others if "write_only" not in form.read.__qualname__]
+    written = [form for form in others if form.suffixes]
+    comparison = (Path(__file__).parents[2] / "docs" / "comparison.md").read_text(encoding="utf-8")
+    assert f"**{len(read)} read, {len(written)} written**" in comparison
+    assert f"| {len(parametric)} parametric ones, **spline** |" in comparison
