@@ -17,7 +17,7 @@ LINES = {
     "__init__": 37,
     "__main__": 6,
     "arrays": 42,
-    "calibrate": 10910,
+    "calibrate": 10938,
     "cameras": 4087,
     "cli": 3708,
     "errors": 137,
@@ -45,7 +45,7 @@ LINES = {
     "tasks": 25052,
     "urls": 99,
 }
-PARTS = {"modules": 503, "records": 723, "records named in one module": 203, "short functions with one reference": 478}
+PARTS = {"modules": 503, "records": 723, "records named in one module": 203, "short functions with one reference": 479}
 PASSED = {"modules": 100, "functions": 1002, "records": 115}  # from a table of detections to a camera file
 SHORT = 5  # lines of a function's body, which could as well stand where it is called
 
