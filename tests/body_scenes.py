@@ -60,7 +60,9 @@ class BodyScene:
         return self.cameras[camera] @ np.linalg.inv(next(iter(self.cameras.values())))
 
     def points(self, board: str) -> np.ndarray:
-        return self.boards[board].points() * self.printed.get(board, 1.0)
+        """Return the points (C, 3) of a board as printed, its middle where it is drawn."""
+        middle = np.array([*self.boards[board].extent, 0.0]) / 2
+        return middle + self.printed.get(board, 1.0) * (self.boards[board].points() - middle)
 
     def pose_of(self, camera: str, board: str, moment: int) -> np.ndarray:
         """Return camera_T_board."""
@@ -118,15 +120,17 @@ def lens(rng: np.random.Generator, focal: float = 900.0) -> tuple[np.ndarray, np
     return matrix, usual + spread * rng.normal(size=5)
 
 
-def two_sides(seed: int, moments: int = 40, *, turns: Sequence[float] = (0.6, 0.6, 0.5)) -> BodyScene:
-    """Return eight cameras around a panel with a board on each of its sides: four see the one, four the other.
+def two_sides(
+    seed: int, moments: int = 40, *, turns: Sequence[float] = (0.6, 0.6, 0.5), per_side: int = 4
+) -> BodyScene:
+    """Return cameras around a panel with a board on each of its sides: `per_side` see the one, as many the other.
 
     turns: rad, by which the panel turns at most about its horizontal and vertical axis and its normal.
     """
     rng = np.random.default_rng([seed, 1])
     lenses, cameras = {}, {}
     for side, z in (("north", -1.3), ("south", 1.3)):
-        for index in range(4):
+        for index in range(per_side):
             place = np.array([-0.45 + 0.3 * index, 0.1 * (index % 2), z]) + 0.03 * rng.normal(size=3)
             lenses[f"{side}{index}"] = lens(rng)
             cameras[f"{side}{index}"] = looking(place, 0.05 * rng.normal(size=3), 0.1 * rng.normal())

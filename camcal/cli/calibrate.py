@@ -72,6 +72,7 @@ def _show_calibration(report: "CalibrateReport", options: CalibrateOptions, verb
     from camcal.report.calibration import CANDIDATE_COLUMNS, candidate_rows, headline, parameter_rows, summary
     from camcal.report.table import projection_words, region_words
     from camcal.report.text_figures import calibration_figures, coverage_words, residual_words
+    from camcal.report.times import time_lines
 
     calibration, circle = report.calibration, next(iter(report.file.cameras.values())).image_circle
     if report.frames and verbose:
@@ -79,7 +80,7 @@ def _show_calibration(report: "CalibrateReport", options: CalibrateOptions, verb
     show.trust(report.assessment.failures, region_words(report.assessment.region))
     show.text(headline(calibration))
     show.text(projection_words(ProjectionStd.of(report.uncertainty).figures))
-    for line in report.lines:
+    for line in (*report.lines, *time_lines(report.times)):
         show.text(line)
     width, height = calibration.camera.image_size
     title = f"{calibration.camera.model.name}, {width}x{height}"

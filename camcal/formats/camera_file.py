@@ -94,8 +94,9 @@ class CameraEntry(Brief):
     """A camera and what is known of it.
 
     quality: figures such as rms_px, images_used. sensor: pixel_pitch_um, gain_e_per_dn, read_noise_e, full_well_e.
-    channels: a lens of its own for some colours. held_by_prior: coefficients that the data of the calibration hardly
-    determined: their prior did. boards: of the calibration. extra: the x_ keys of other programs, kept as they are.
+    timing: when images are taken, s, see `native_entry.TIMING`. channels: a lens of its own for some colours.
+    held_by_prior: coefficients that the data of the calibration hardly determined: their prior did. boards: of the
+    calibration. extra: the x_ keys of other programs, kept as they are.
     """
 
     camera: Camera
@@ -105,6 +106,7 @@ class CameraEntry(Brief):
     noise: CalibrationNoise | None = None
     verdict: CalibrationVerdict | None = None
     sensor: Mapping[str, float] = field(default_factory=dict)
+    timing: Mapping[str, float] = field(default_factory=dict)
     channels: Mapping[str, Camera] = field(default_factory=dict)
     held_by_prior: tuple[str, ...] = ()
     boards: CalibrationBoards | None = None

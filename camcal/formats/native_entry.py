@@ -73,6 +73,11 @@ SENSOR: Mapping[str, Check] = {
     "black_level_dn": number(0),
     "bits": integer(1, 64),
 }
+# Row y of H of an image is taken at stamp + offset + rate · (stamp - reference) + readout · y / H.
+TIMING: Mapping[str, Check] = {
+    **dict.fromkeys(("offset_s", "rate", "reference_s", "readout_s"), number()),
+    **dict.fromkeys(("offset_std_s", "rate_std", "readout_std_s"), number(0)),
+}
 CORE = ("fx", "fy", "cx", "cy", "skew")  # named under intrinsics; all others are named under distortion
 PROJECTION_FIGURES = ("centre_px", "rms_px", "median_px", "p95_px", "max_px", "inside_rms_px", "inside_max_px")
 
@@ -131,6 +136,7 @@ _ENTRY = mapping(
         "noise": mapping({"sigma_px": number(0)}, {"degrees_of_freedom": integer(1), "model_error_px": number(0)}),
         "verdict": mapping({"trustworthy": flag}, {"reasons": items(text), "region": _REGION}),
         "sensor": mapping({}, SENSOR),
+        "timing": mapping({}, TIMING),
         "channels": mapping({}, others=mapping({"intrinsics": unchecked}, _LENS)),
     },
 )
@@ -168,6 +174,7 @@ def read(data: Mapping[str, Any], folder: Path) -> tuple[CameraEntry, tuple[str,
         noise=CalibrationNoise(**data["noise"]) if "noise" in data else None,
         verdict=_read_verdict(data["verdict"]) if "verdict" in data else None,
         sensor=data.get("sensor", {}),
+        timing={key: float(value) for key, value in data.get("timing", {}).items()},
         channels=channels,
         held_by_prior=tuple(data.get("held_by_prior", ())),
         boards=covariance.read_boards(data.get("uncertainty", {}), camera),
@@ -217,6 +224,7 @@ def block(entry: CameraEntry, beside: Path) -> dict[str, Any]:
     data["noise"] = vars(entry.noise) if entry.noise else None
     data["verdict"] = _verdict_block(entry.verdict) if entry.verdict else None
     data["sensor"] = entry.sensor or None
+    data["timing"] = entry.timing or None
     data["channels"] = {name: _lens_block(lens, beside) for name, lens in entry.channels.items()} or None
     return {**data, **entry.extra}
 

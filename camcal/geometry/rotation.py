@@ -202,7 +202,7 @@ def to_dual_quaternion(rotation: Array, translation: Array) -> Array:
     rotation: (..., 3, 3). translation: (..., 3), the dual part has half its unit.
     """
     real = to_quaternion(rotation)
-    return np.concatenate([real, 0.5 * _product(_pure(translation), real)], axis=-1)
+    return np.concatenate([real, 0.5 * quaternion_product(_pure(translation), real)], axis=-1)
 
 
 def from_dual_quaternion(dual: Array) -> tuple[Array, Array]:
@@ -213,7 +213,7 @@ def from_dual_quaternion(dual: Array) -> tuple[Array, Array]:
     dual = np.asarray(dual, dtype=float)
     length = np.linalg.norm(dual[..., :4], axis=-1, keepdims=True)
     real, moved = dual[..., :4] / length, dual[..., 4:] / length
-    return from_quaternion(real), 2 * _product(moved, real * [1.0, -1.0, -1.0, -1.0])[..., 1:]
+    return from_quaternion(real), 2 * quaternion_product(moved, real * [1.0, -1.0, -1.0, -1.0])[..., 1:]
 
 
 def dual_quaternion_error(dual: Array) -> Array:
@@ -227,7 +227,7 @@ def _pure(vector: Array) -> Array:
     return np.concatenate([np.zeros((*vector.shape[:-1], 1)), vector], axis=-1)
 
 
-def _product(left: Array, right: Array) -> Array:
+def quaternion_product(left: Array, right: Array) -> Array:
     """Return the Hamilton products (..., 4) of quaternions w x y z."""
     scalar = left[..., :1] * right[..., :1] - np.sum(left[..., 1:] * right[..., 1:], axis=-1, keepdims=True)
     vector = left[..., :1] * right[..., 1:] + right[..., :1] * left[..., 1:] + np.cross(left[..., 1:], right[..., 1:])

@@ -84,7 +84,7 @@ def test_json_is_the_only_thing_on_stdout(run, table, tmp_path):
         "schema", "output", "model", "image_size", "parameters", "std", "held_by_prior", "noise_std",
         "within_views", "two_cameras", "rms_px",
         "sigma_px", "model_error_px", "degrees_of_freedom", "board", "board_shape", "views", "rejected", "uncertainty",
-        "image_circle",
+        "image_circle", "times",
         "refinement", "trustworthy", "region", "failures", "candidates", "frames", "failed", "reused", "timings",
         "warnings",
     ]  # fmt: skip

@@ -64,9 +64,10 @@ def calibrate_rig(captures: Captures, board: Board, options: RigOptions) -> RigC
     others = [options.others.get(name) for name in linked.names]
     if any(others):
         result = with_other_models(result, others, [start.solved.size for start in linked.starts])
-    part = result.problem.parts[0]
-    points = part.board_points(result.problem.of_camera(result.state, 0))
-    require_measured(measured, result.state.boards, rows.boards, points, part.shape_basis)
+    problem, count = result.problem, result.problem.board_start
+    ratios = np.linalg.solve(result.noise_covariance[:count, :count], result.covariance[:count, :count])
+    blocks = problem.measured_blocks(result.plain.state)
+    require_measured(measured, blocks, result.noise_covariance, np.trace(ratios) / count, rows.boards)
     found = replace(found, warnings=(*found.warnings, *placed.messages))
     used = tuple(captures.names[index] for index in first)
     return _record(result, linked, used, _left_out(captures, cameras, linked), found, placed.roots)

@@ -15,6 +15,7 @@ from camcal.solve.steps import Block, Jacobian
 
 _CONTRADICTED = 30.0  # of χ² of six coordinates: one in 25 000 relations that are right
 _FAR = 4.5  # standard deviations of a distance
+_SAID = 1e-6  # share of what is left of a variance, from which on other things say something
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,21 +149,49 @@ def distance_of(
     return length, by_boards, by_terms
 
 
-def require_measured(known: Measured, boards: BoardPoses, names: Sequence[str], points: Array, basis: Array) -> None:
-    """Raise InsufficientData if captures contradict what is known of boards, once both count."""
-    for relation in known.relations:
-        apart = relation_step(relation, boards)[0]
-        if apart @ np.linalg.solve(relation.covariance, apart) > _CONTRADICTED:
-            name = f"{names[relation.target]}_T_{names[relation.source]}"
-            raise contradicted(name, float(np.linalg.norm(apart[:3])), float(np.linalg.norm(apart[3:])))
-    for distance in known.distances:
-        length, _, _ = distance_of(distance, boards, points, basis)
-        if abs(length - distance.metres) > _FAR * distance.std:
-            text = (
-                f"--distance {distance.words}: contradicts the captures and the other distances, which say "
-                f"{length:.5g} m ({(length - distance.metres) / distance.std:+.1f} standard deviations)"
-            )
-            raise InsufficientData(text, failures=[Message("distance_contradicted", text, {"m": length})])
+def require_measured(
+    known: Measured, blocks: Sequence[Block], covariance: Array, inflation: float, names: Sequence[str]
+) -> None:
+    """Raise InsufficientData if captures, and whatever else is known, contradict what is known of boards.
+
+    blocks: the residuals (1, k) of each, see `measured_blocks`, once all count. covariance: (D, D) of the shared
+    parameters by noise alone. inflation: of what captures say, over that.
+    """
+    found = [_innovation(block, covariance, inflation) for block in blocks]
+    limits = [_CONTRADICTED] * len(known.relations) + [_FAR**2] * len(known.distances)
+    shares = [squared / limit for (_, squared), limit in zip(found, limits, strict=True)]
+    if max(shares, default=0.0) <= 1:
+        return
+    worst = int(np.argmax(shares))
+    apart, squared = found[worst]
+    if worst < len(known.relations):
+        relation = known.relations[worst]
+        apart = np.linalg.cholesky(relation.covariance) @ apart
+        name = f"{names[relation.target]}_T_{names[relation.source]}"
+        raise contradicted(name, float(np.linalg.norm(apart[:3])), float(np.linalg.norm(apart[3:])))
+    distance = known.distances[worst - len(known.relations)]
+    length = distance.metres + float(apart[0]) * distance.std
+    text = (
+        f"--distance {distance.words}: contradicts the captures and what else is known, which say {length:.5g} m "
+        f"({np.sqrt(squared):.1f} standard deviations)"
+    )
+    raise InsufficientData(text, failures=[Message("distance_contradicted", text, {"m": length})])
+
+
+def _innovation(block: Block, covariance: Array, inflation: float) -> tuple[Array, float]:
+    """Return what everything else says of something known, less what is known of it, in the unit of its standard
+    deviations (k,), and the χ² of that; without the directions of which nothing else says anything.
+
+    With P the variance of the prediction once it counts, 1 - P is 1 / (1 + D), D the variance by everything else.
+    """
+    slopes = np.zeros((block.residuals.shape[1], len(covariance)))
+    for jacobian in block.shared:
+        slopes[:, jacobian.columns] += jacobian.values[0]
+    left, axes = np.linalg.eigh(np.eye(len(slopes)) - slopes @ covariance @ slopes.T)
+    said = left > _SAID
+    left, axes = left[said], axes[:, said]
+    along = axes.T @ block.residuals[0] / left
+    return axes @ along, float(np.sum(along**2 / (1 + inflation * (1 / left - 1))))
 
 
 def contradicted(name: str, metres: float, angle: float) -> InsufficientData:

@@ -36,10 +36,7 @@ def camera_links(fit: RigFit, names: Sequence[str], alone: Sequence[Array]) -> t
     """
     problem, boards = fit.problem, tuple(fit.problem.board.members)
     on_body = Poses(fit.state.boards.rotations, fit.state.boards.translations)
-    variances = dict.fromkeys(range(len(boards)), 0.0)
-    for place, board in enumerate(problem.attached):
-        start = problem.attached_start + POSE * place
-        variances[board] = float(np.trace(fit.covariance[start : start + 3, start : start + 3])) / 3
+    own = slice(problem.attached_start, problem.board_start)
     views = [
         _CameraViews(name, captures, on_board, Poses(state.rotations, state.translations), covariances)
         for name, captures, on_board, state, covariances in zip(
@@ -53,23 +50,43 @@ def camera_links(fit: RigFit, names: Sequence[str], alone: Sequence[Array]) -> t
             rows_a, rows_b = np.flatnonzero(a.boards == one), np.flatnonzero(b.boards == other)
             common, in_a, in_b = np.intersect1d(a.captures[rows_a], b.captures[rows_b], return_indices=True)
             if len(common):
-                between = on_body.take(np.array([other])).inverse() @ on_body.take(np.array([one]))
-                variance = _variance(a, rows_a[in_a], b, rows_b[in_b], between)
-                variance += sum(variances[board] for board in ({one, other} if one != other else ()))
+                between, slopes = _between(on_body, one, other, problem.attached)
+                uncertain = slopes @ fit.covariance[own, own] @ slopes.T
+                std = _std(a, rows_a[in_a], b, rows_b[in_b], between, uncertain)
                 through = tuple(dict.fromkeys(boards[place] for place in (one, other) if boards[place]))
-                found.append(CameraLink((a.name, b.name), through, len(common), float(np.sqrt(variance))))
+                found.append(CameraLink((a.name, b.name), through, len(common), std))
         if found:
             result.append(min(found, key=lambda own: own.std))
     return tuple(result)
 
 
-def _variance(a: _CameraViews, rows_a: Array, b: _CameraViews, rows_b: Array, between: Poses) -> float:
-    """Return the variance, m², of an axis of b's position in a by views of common captures; between: other_T_one."""
+def _between(on_body: Poses, one: int, other: int, attached: Sequence[int]) -> tuple[Poses, Array]:
+    """Return other_T_one of two boards on their body, and its derivatives (6, 6 n) by the steps of those attached."""
+    ends = [on_body.take(np.array([board])) for board in (other, one)]
+    back = ends[0].inverse()
+    by_back, by_one = by_factors(back, ends[1])
+    slopes = np.zeros((POSE, POSE * len(attached)))
+    for board, values in ((one, by_one[0]), (other, (by_back @ by_inverse(ends[0]))[0])):
+        if board in attached:
+            start = POSE * attached.index(board)
+            slopes[:, start : start + POSE] += values
+    return back @ ends[1], slopes
+
+
+def _std(a: _CameraViews, rows_a: Array, b: _CameraViews, rows_b: Array, between: Poses, uncertain: Array) -> float:
+    """Return the standard deviation, m, of an axis of the positions of b in a and a in b by views of common captures.
+
+    between: other_T_one of the boards that they see, and its covariance.
+    """
     seen, board = a.poses.take(rows_a), b.poses.take(rows_b)
     moved = board @ between  # b_T_one
     by_a, by_back = by_factors(seen, moved.inverse())
-    by_b = by_back @ by_inverse(moved) @ by_factors(board, between)[0]
+    by_b, by_between = (by_back @ by_inverse(moved) @ each for each in by_factors(board, between))
     covariances = by_a @ a.covariances[rows_a] @ by_a.transpose(0, 2, 1)
     covariances += by_b @ b.covariances[rows_b] @ by_b.transpose(0, 2, 1)
-    information = np.linalg.inv(covariances + _HELD * np.eye(POSE)).sum(axis=0)
-    return float(np.trace(np.linalg.inv(information)[:3, :3])) / 3
+    information = np.linalg.inv(covariances + _HELD * np.eye(POSE))
+    total = np.linalg.inv(information.sum(axis=0))
+    mean = total @ (information @ by_between).sum(axis=0)
+    total = total + mean @ uncertain @ mean.T
+    back = by_inverse((seen @ moved.inverse()).take(np.array([0])))[0]
+    return float(np.sqrt(np.trace((total + back @ total @ back.T)[:3, :3]) / 6))

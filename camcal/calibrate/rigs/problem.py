@@ -340,9 +340,9 @@ class RigProblem:
             columns = np.arange(start, start + len(part.free))
             result.append(Block(apart[None], (Jacobian(known.root[None], columns),)))
         result += self.parts[0].board_priors(self.of_camera(state, 0), self.board_start)
-        return result + self._measured_blocks(state)
+        return result + self.measured_blocks(state)
 
-    def _measured_blocks(self, state: RigState) -> list[Block]:
+    def measured_blocks(self, state: RigState) -> list[Block]:
         """Return what is known of the boards beforehand."""
         if not self.measured:
             return []
@@ -381,7 +381,7 @@ class RigProblem:
             count = len(part.free)
             result[own, own] = precision[:count, :count] if known is None else known.root.T @ known.root
             result[self.board_start :, self.board_start :] = precision[count:, count:]
-        measured = self._measured_blocks(state)
+        measured = self.measured_blocks(state)
         return result + assemble(measured, self.dense, 0, POSE).shared_shared if measured else result
 
     def captures_only(self, state: RigState) -> "tuple[RigProblem, RigState]":

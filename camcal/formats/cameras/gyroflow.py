@@ -1,7 +1,8 @@
 """Gyroflow lens profiles: one camera a JSON file, for frames of calib_dimension.
 
-A profile without distortion_model is of the fisheye model. What has no place in a lens (frame_readout_time in ms, the
-stretch of anamorphic frames) is kept (x_gyroflow) and written again; an anamorphic lens is that of the widened frames.
+A profile without distortion_model is of the fisheye model. frame_readout_time is in ms. What has no place in
+a lens (the stretch of anamorphic frames) is kept (x_gyroflow) and written again; an anamorphic lens is that of the
+widened frames.
 Source: gyroflow's src/core/lens_profile.rs and distortion_models.
 """
 
@@ -30,7 +31,8 @@ LENSES = Lenses("""
     sony sony fx fy cx cy k0 k1 k2 k3 k4 k5
 """)  # fmt: skip
 
-_KEPT = ("frame_readout_time", "fps", "input_horizontal_stretch", "input_vertical_stretch", "camera_brand",
+_READOUT, _MS = "frame_readout_time", 1e-3
+_KEPT = ("fps", "input_horizontal_stretch", "input_vertical_stretch", "camera_brand",
          "camera_model", "lens_model", "camera_setting")  # fmt: skip
 
 
@@ -56,7 +58,8 @@ def read(sources: Sequence[Source], given: Given) -> CameraFile:
     kept = {name: values.data[name] for name in _KEPT if isinstance(values.data.get(name), (str, int, float))}
     _warn_of_stretch(values)
     quality = {"rms_px": lens.number("RMS_error")} if lens.data.get("RMS_error") else {}
-    entry = CameraEntry(camera, quality=quality, extra={VENDOR_KEY: kept} if kept else {})
+    timing = {"readout_s": _MS * values.number(_READOUT)} if values.data.get(_READOUT) is not None else {}
+    entry = CameraEntry(camera, quality=quality, timing=timing, extra={VENDOR_KEY: kept} if kept else {})
     return CameraFile({CAMERA: entry}, warnings=(*values.warnings, *lens.warnings))
 
 
@@ -76,7 +79,7 @@ def write(path: Path, file: CameraFile) -> None:
     width, height = entry.camera.image_size
     own = entry.extra.get(VENDOR_KEY)
     kept: dict[str, Any] = own if isinstance(own, dict) else {}
-    size = {"w": width, "h": height}
+    size, readout = {"w": width, "h": height}, entry.timing.get("readout_s")
     data = {
         "name": str(kept.get("camera_model") or name),
         "note": FORMAT.note,
@@ -86,7 +89,7 @@ def write(path: Path, file: CameraFile) -> None:
         "orig_dimension": size,
         "output_dimension": size,
         "fps": 0.0,
-        "frame_readout_time": None,
+        _READOUT: None if readout is None else readout / _MS,
         "input_horizontal_stretch": 1.0,
         "input_vertical_stretch": 1.0,
         **kept,

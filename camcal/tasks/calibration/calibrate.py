@@ -23,6 +23,7 @@ from camcal.progress import SILENT, Progress, stage, warn_of
 from camcal.quality.projection_uncertainty import ProjectionUncertainty, too_uncertain
 from camcal.raw.names import COLOURS
 from camcal.report.calibration import as_data, candidates_data, uncertainty_data
+from camcal.report.times import time_data
 from camcal.run.outputs import writes
 from camcal.run.paths import split_address
 from camcal.targets.board import Board
@@ -65,7 +66,9 @@ def calibrate(options: CalibrateOptions, progress: Progress = SILENT) -> Calibra
 
 def seen_of(options: CalibrateOptions, board: Board | str | None, progress: Progress = SILENT) -> BoardViews:
     """Return what the inputs show of a board, see `board_views`; corners that the lens helps to measure are located."""
-    return board_views(
+    if options.rolling_shutter:
+        options = replace(options, frames=replace(options.frames, whole=True))
+    seen = board_views(
         options.inputs,
         board,
         progress=progress,
@@ -75,6 +78,11 @@ def seen_of(options: CalibrateOptions, board: Board | str | None, progress: Prog
         batch=options.batch,
         locate=is_located(options.refine, options.reading, mixed_sizes=options.mixed_sizes),
     )
+    if not options.rolling_shutter:
+        return seen
+    from camcal.tasks.calibration.rolling_shutter import with_frame_times
+
+    return with_frame_times(seen, options.timing, progress)
 
 
 def calibrated(
@@ -101,16 +109,11 @@ def calibrated(
     circle = known_circle(seen.detections, guess)
     if options.save_detections:
         detections.write(options.save_detections, seen.detections)
-    solve_seen = partial(
-        solve, board=seen.board, options=how, circle=circle, choose=options.model is None, progress=progress
-    )
+    brief, solve_seen = _ways(options, seen.board, how, circle, progress)
     refinement: RefinementSummary | None = None
     found: tuple[Message, ...] = ()
     try:
         if refined:
-            brief = partial(
-                brief_calibration, board=seen.board, options=how, circle=circle, choose=options.model is None
-            )
             seen, selection, refinement, found = _refine(seen, brief, solve_seen, options, progress)
         else:
             selection = solve_seen(seen.detections.views)
@@ -129,7 +132,9 @@ def calibrated(
         detections.write(options.save_detections, seen.detections)
     colours = COLOURS if options.reading.colours else ()
     channels = {colour: _channel(calibration, colour, seen.detections.views) for colour in colours}
-    file = camera_file(calibration, assessment, options.name, words, channels=channels, circle=circle)
+    file = camera_file(
+        calibration, assessment, options.name, words, channels=channels, circle=circle, times=selection.times
+    )
     figures = _write_figures(options, calibration, assessment.uncertainty, selection.candidates, circle)
     if options.output is not None:
         with stage(progress, "writing"):
@@ -153,6 +158,7 @@ def calibrated(
         frames=seen.frames,
         candidates=selection.candidates,
         figures=figures,
+        times=selection.times,
     )
     if options.report is not None:
         from camcal.tasks.reports.pages import write
@@ -221,6 +227,20 @@ def _cause(
     return screenshots(seen.detections, seen.board, seen.videos, seen.files, options, progress) or refusal
 
 
+def _ways(
+    options: CalibrateOptions, board: Board, how: intrinsics.Options, circle: ImageCircle | None, progress: Progress
+) -> tuple[Callable[[Sequence[BoardDetection]], Calibration | None], Callable[[Sequence[BoardDetection]], Selection]]:
+    """Return how views are calibrated briefly, and how wholly."""
+    choose = options.model is None
+    brief = partial(brief_calibration, board=board, options=how, circle=circle, choose=choose)
+    whole = partial(solve, board=board, options=how, circle=circle, choose=choose, progress=progress)
+    if not options.rolling_shutter:
+        return brief, whole
+    from camcal.tasks.calibration.rolling_shutter import solve_at_once
+
+    return brief, partial(solve_at_once, brief=brief, solve=whole, circle=circle, progress=progress)
+
+
 def _measure(
     seen: BoardViews, lens: Calibration | None, options: CalibrateOptions, progress: Progress
 ) -> tuple[BoardViews, RefinementSummary]:
@@ -273,6 +293,7 @@ def document(report: CalibrateReport, options: CalibrateOptions) -> dict[str, An
         **as_data(report.calibration),
         "uncertainty": uncertainty_data(report.uncertainty),
         "image_circle": native_entry.circle_block(report.file.cameras[options.name].image_circle),
+        "times": None if report.times is None else time_data(*report.times.cameras.values()),
         "refinement": None if report.refinement is None else vars(report.refinement),
         "trustworthy": report.assessment.trustworthy,
         "region": {**vars(report.assessment.region), "polygon": report.assessment.region.polygon.round(2).tolist()},

@@ -1,7 +1,7 @@
 """What comes of the calibration of a camera, and its file: the camera, the board, the images and their hashes."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -29,11 +29,15 @@ from camcal.quality.range_uncertainty import CalibrationBoards
 from camcal.records import Brief
 from camcal.report.calibration import headline, view_record
 from camcal.report.table import projection_words, region_words
+from camcal.report.times import time_data
 from camcal.targets.board import Surface
 from camcal.tasks.calibration.board_views import BoardViews
 
 if TYPE_CHECKING:
     from camcal.tasks.calibration.video_frames import FrameRecord
+
+if TYPE_CHECKING:
+    from camcal.calibrate.timing.record import TimeCalibration
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,12 +70,17 @@ def camera_file(
     command: Sequence[str],
     channels: Mapping[str, Channel] = MappingProxyType({}),
     circle: ImageCircle | None = None,
+    times: "TimeCalibration | None" = None,
 ) -> CameraFile:
     """Return what the camera file says of a calibration; green is the camera itself and no channel of its own.
 
-    name: of the camera. command: the words that are recorded. circle: the image circle, where there is one.
+    name: of the camera. command: the words that are recorded. circle: the image circle, where there is one. times: when
+    its rows were taken, where that was estimated.
     """
     entry = camera_entry(calibration, assessment, circle, channels)
+    if times is not None:
+        [own] = times.cameras.values()
+        entry = replace(entry, timing=time_data(own))
     surface = calibration.surface
     return CameraFile(
         {name: entry},
@@ -157,7 +166,7 @@ class CalibrateReport(Brief):
     warnings: of the detection and of the assessment. lines: other lines of the report. refinement: what the second pass
     of corner refinement changed, None without one. channels: by the names of colours, empty unless asked for. frames:
     what became of the frames of videos. candidates: lens models that were compared, none where the model was given.
-    figures: the files of figures.
+    figures: the files of figures. times: when rows were taken, None where that was not asked for.
     """
 
     calibration: Calibration
@@ -172,6 +181,7 @@ class CalibrateReport(Brief):
     frames: "tuple[FrameRecord, ...]" = ()
     candidates: tuple[CandidateModel, ...] = ()
     figures: tuple[Path, ...] = ()
+    times: "TimeCalibration | None" = None
 
     def __repr__(self) -> str:
         """Return the verdict, the lens and its uncertainty in a line."""

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
+from typing import TYPE_CHECKING
 
 from camcal.calibrate import intrinsics
 from camcal.calibrate.fit import CalibrationFit, ShapeOptions
@@ -16,6 +17,9 @@ from camcal.quality.assess import Assessment, assess, judge
 from camcal.quality.lens_choice import GAIN, other_models, passing_model, rank_models
 from camcal.targets.board import Board
 from camcal.targets.detection import BoardDetection
+
+if TYPE_CHECKING:
+    from camcal.calibrate.timing.record import TimeCalibration
 
 # the simplest first: by the number of their parameters
 CANDIDATES = ("pinhole", "opencv4", "kannala_brandt4", "opencv5", "kannala_brandt5t", "opencv8")
@@ -46,7 +50,8 @@ _FAILURES = (InvalidInput, InsufficientData, NotConverged)
 class Selection:
     """A calibration with its assessment, and the models that it was chosen from: none where the model was given.
 
-    warnings: where the best model could not be used. lines: why another one than the default is used.
+    warnings: where the best model could not be used. lines: why another one than the default is used. times: when rows
+    were taken, where that was estimated.
     """
 
     calibration: Calibration
@@ -54,6 +59,7 @@ class Selection:
     candidates: tuple[CandidateModel, ...] = ()
     warnings: tuple[Message, ...] = ()
     lines: tuple[str, ...] = ()
+    times: "TimeCalibration | None" = None
 
 
 def solve(

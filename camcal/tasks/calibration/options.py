@@ -1,6 +1,6 @@
 """The options of the commands for calibration and board detection."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -20,6 +20,7 @@ from camcal.options import (
     OptionsRecord,
     Without,
     Written,
+    given_words,
 )
 from camcal.raw.options import AS_IMAGES, ImageReadOptions
 from camcal.run.options import DEFAULT_BATCH, BatchOptions
@@ -44,6 +45,7 @@ from camcal.tasks.options import (
     output_option,
     result_option,
 )
+from camcal.tasks.poses.smooth_options import Timing
 from camcal.tasks.suggestions import lens_model_names, lens_models
 
 if TYPE_CHECKING:
@@ -101,6 +103,13 @@ Refine = Annotated[
     Option(
         "Refine the corners with the calibrated lens, add missed ones, and calibrate again; by default if there are "
         "images."
+    ),
+]
+RollingShutter = Annotated[
+    bool,
+    Option(
+        "Estimate the readout time of a rolling shutter from the motion of the board: images need times; all frames of "
+        "videos are used."
     ),
 ]
 MaxUncertainty = Annotated[
@@ -239,8 +248,10 @@ class CalibrateOptions(OptionsRecord):
     batch: BatchOptions = DEFAULT_BATCH
     reading: ImageReadOptions = AS_IMAGES
     frames: FrameOptions = BEST_FRAMES
+    timing: Timing = field(default_factory=Timing)
     parts: Parts = False
     refine: Refine = None
+    rolling_shutter: RollingShutter = False
     mixed_sizes: MixedSizes = False
     require: Annotated[
         str | None,
@@ -261,6 +272,8 @@ class CalibrateOptions(OptionsRecord):
     def __post_init__(self) -> None:
         super().__post_init__()
         require_positive(self.max_uncertainty)
+        if self.timing != Timing() and not self.rolling_shutter:
+            raise InvalidInput(f"{given_words(self.timing)[0]} goes with --rolling-shutter")
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,221 @@
+"""Times by the motion of a board: derivatives by differences, chains by dense matrices, estimates by simulated truth.
+
+The truth is no spline (see timed_scenes); its noise is that of corners alone. What detectors do to blurred or sheared
+boards is not shown here.
+"""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from timed_scenes import BOARD, LENS, Clocked, by_hand, rotations
+
+from camcal.calibrate.intrinsics import Options, compare_models
+from camcal.calibrate.problem import POSE
+from camcal.calibrate.timing.calibrate import TimedCamera, time_cameras
+from camcal.calibrate.timing.problem import TimedCorners, TimeProblem, TimeState
+from camcal.calibrate.timing.spline import Knots, Motion, motion_through
+from camcal.errors import InsufficientData, InvalidInput
+from camcal.geometry import rotation as so3
+from camcal.solve.chains import WIDTH, ChainEquations, ChainFactors
+from camcal.solve.least_squares import assemble
+from camcal.solve.steps import NormalEquations, Step
+
+READOUT_S = 0.02
+
+
+@cache
+def views_of(seed, *, frames=150, noise_px=0.1, dropped=0.0, **camera):
+    rng = np.random.default_rng(seed)
+    return Clocked(**{"readout": READOUT_S} | camera).views(by_hand(rng), frames, rng, noise_px, dropped)
+
+
+def lens_of(views):
+    """Return a brief calibration of rows as if they had been taken at once."""
+    [found] = compare_models(views, BOARD, Options(LENS.model), [LENS.model])
+    return found.calibration
+
+
+@cache
+def timed(seed, *, frames=150, noise_px=0.1, **camera):
+    views = views_of(seed, frames=frames, noise_px=noise_px, **camera)
+    own = TimedCamera(lens_of(views), views, as_designed=True)
+    return time_cameras({"": own}, offsets=False, shutter=True), views
+
+
+def small(seed=0):
+    """Return a problem of two cameras with all times free, and a state near its minimum."""
+    rng = np.random.default_rng(seed)
+    knots = Knots.over(0.0, 1.0, 0.25)
+    turns, moved = 0.2 * rng.normal(size=(knots.nodes, 3)), 0.03 * rng.normal(size=(knots.nodes, 3))
+    motion = Motion(knots, so3.to_quaternion(so3.exp(turns)), moved + np.array([-0.1, -0.06, 0.6]))
+    cameras = []
+    for _ in range(2):
+        ids = rng.integers(0, BOARD.count, 60)
+        own = rng.uniform(0.1, 0.9, 60), rng.uniform(0, 1, 60), rng.uniform(0.5, 1, 60)
+        cameras.append(TimedCorners(LENS.model, np.array([0, 2, 4]), np.zeros((2, 60)), ids, *own, sigma=0.2))
+    basis = 1e-3 * rng.normal(size=(BOARD.count, 3, 2))
+    free = np.array([[False, True], [False, True], [True, True]])
+    problem = TimeProblem(tuple(cameras), BOARD.points(), basis, np.array([0.5, 2.0]), free, knots.spans)
+    lens = LENS.parameters
+    poses = so3.exp(np.array([[0, 0, 0], [0.05, -0.1, 0.02]])), np.array([[0, 0, 0], [0.1, 0.01, 0.02]], float)
+    times = np.array([[0, 0.01], [0, 1e-3], [0.02, 0.015]])
+    state = TimeState((lens, 1.01 * lens), *poses, times, np.array([0.3, -0.2]), motion)
+    seen = [
+        replace(own, pixels=problem.residuals(state, place) + rng.normal(0, 0.3, (2, 60)))
+        for place, own in enumerate(problem.cameras)
+    ]
+    return replace(problem, cameras=tuple(seen)), state
+
+
+def test_derivatives_are_those_of_differences():
+    problem, state = small()
+    spans = assemble(problem.blocks(state), problem.shared, *problem.groups)
+    found = ChainEquations.of(spans)
+    nodes = state.motion.knots.nodes
+
+    def cost(shared, groups):
+        moved = problem.retract(state, Step(shared, groups.reshape(nodes, POSE)))
+        return assemble(problem.blocks(moved), problem.shared, *problem.groups).cost
+
+    width, step = problem.shared + POSE * nodes, 1e-6
+    gradient = np.zeros(width)
+    for column in range(width):
+        moved = np.zeros(width)
+        moved[column] = step
+        ahead = cost(moved[: problem.shared], moved[problem.shared :])
+        gradient[column] = (ahead - cost(-moved[: problem.shared], -moved[problem.shared :])) / (2 * step)
+    scale = np.abs(gradient).max()
+    # differences of step 1e-6 are good to 1e-9 of the largest; columns are scaled apart by 1e4
+    np.testing.assert_allclose(gradient[: problem.shared], found.shared_gradient, atol=1e-6 * scale, rtol=1e-5)
+    np.testing.assert_allclose(gradient[problem.shared :], found.node_gradient, atol=1e-6 * scale, rtol=1e-5)
+
+
+def test_a_chain_is_solved_as_its_dense_matrix_would_be():
+    rng = np.random.default_rng(3)
+    spans, size, shared = 5, 2, 3
+    width = WIDTH * size
+    nodes = (spans + WIDTH - 1) * size
+    dense, gradient = np.zeros((nodes + shared,) * 2), np.zeros(nodes + shared)
+    groups, by_shared, right = (
+        np.zeros((spans, width, width)),
+        np.zeros((spans, width, shared)),
+        np.zeros((spans, width)),
+    )
+    own, own_right = np.eye(shared), np.zeros(shared)
+    dense[nodes:, nodes:] += np.eye(shared)
+    for span in range(spans):
+        rows = rng.normal(size=(20, width + shared))
+        residuals = rng.normal(size=20)
+        square, pulled = rows.T @ rows, rows.T @ residuals
+        groups[span], by_shared[span], right[span] = square[:width, :width], square[:width, width:], pulled[:width]
+        own, own_right = own + square[width:, width:], own_right + pulled[width:]
+        places = np.r_[span * size : span * size + width, nodes : nodes + shared]
+        dense[np.ix_(places, places)] += square
+        gradient[places] += pulled
+    equations = NormalEquations(1.0, Step(own_right, right), groups, by_shared, own, np.zeros(0), np.zeros(0))
+    factors = ChainFactors.of(ChainEquations.of(equations))
+    expected = np.linalg.solve(dense, -gradient)
+    step = factors.solve()
+    np.testing.assert_allclose(np.r_[step.groups.ravel(), step.shared], expected, rtol=1e-4, atol=1e-6)  # held by 1e-6
+    covariance = np.linalg.inv(dense)[nodes:, nodes:]
+    np.testing.assert_allclose(factors.shared_covariance, covariance, rtol=1e-4)
+
+
+def test_a_refined_spline_is_the_same_motion():
+    _, state = small()
+    times = np.linspace(0, 1, 50)
+    coarse, fine = state.motion.at(times), state.motion.refined().at(times)
+    np.testing.assert_allclose(fine.translations, coarse.translations, atol=1e-12)
+    np.testing.assert_allclose(fine.velocities, coarse.velocities, atol=1e-12)
+    # quaternions of nodes are unit again, by which turns change a little
+    assert np.abs(fine.quaternions - coarse.quaternions).max() < 1e-3
+
+
+def test_a_spline_goes_through_poses_but_for_a_few_that_are_wrong():
+    motion = by_hand(np.random.default_rng(2))
+    times = np.arange(120) / 30
+    turned, moved = motion.at(times)
+    wrong = turned.copy()
+    wrong[[20, 70]] = turned[[20, 70]] @ rotations(np.array([[0.0, 0, np.pi]]))
+    found = motion_through(Knots.over(0, times[-1], 2 / 30), times, wrong, moved).at(times)
+    assert np.abs(found.translations.T - moved).max() < 5e-4
+    apart = so3.log(turned.transpose(0, 2, 1) @ so3.from_quaternion(found.quaternions.T))
+    assert np.abs(apart).max() < 0.02
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_the_readout_time_is_within_its_interval(seed):
+    times, _ = timed(seed)
+    own = times.cameras[""]
+    assert 5e-5 < own.readout_std < 2e-4  # 0.25 to 1 % of it
+    assert abs(own.readout - READOUT_S) < 3 * own.readout_std
+    assert own.offset == own.offset_std == 0
+    assert not times.warnings
+
+
+def test_without_noise_the_readout_time_is_exact():
+    times, _ = timed(5, noise_px=1e-4)
+    assert times.cameras[""].readout == pytest.approx(READOUT_S, rel=1e-3)  # a spline is not the motion
+
+
+def test_rows_that_are_taken_at_once_have_no_readout_time():
+    times, _ = timed(4, readout=0.0)
+    assert abs(times.cameras[""].readout) < 3 * times.cameras[""].readout_std
+
+
+def test_rows_from_below_have_a_negative_readout_time():
+    own = timed(4, readout=-0.015)[0].cameras[""]
+    assert abs(own.readout + 0.015) < 3 * own.readout_std
+
+
+def test_views_are_as_of_one_moment():
+    times, views = timed(0)
+    middles = [times.timed("", view).time for view in views]
+    found = times.at("", views, middles)
+    motion = by_hand(np.random.default_rng(0))
+    exact = Clocked().project(motion, np.array(middles))
+    left = np.stack([view.pixels for view in found]) - exact
+    before = np.stack([view.pixels for view in views]) - exact
+    assert np.sqrt(np.mean(before**2)) > 0.3  # px
+    assert np.sqrt(np.mean(left**2)) < 0.11  # the noise is 0.1
+
+
+def test_a_view_without_a_time_stays_as_it_is():
+    times, views = timed(0)
+    strange = replace(views[3], image="another.png")
+    assert times.at("", [strange, views[4]], [0.1, None]) == [strange, views[4]]
+
+
+def test_a_board_that_hardly_moves_does_not_tell_the_readout_time():
+    rng = np.random.default_rng(7)
+    views = Clocked(readout=READOUT_S).views(by_hand(rng, 0.5, 0.002), 150, rng)
+    own = TimedCamera(lens_of(views), views, as_designed=True)
+    times = time_cameras({"": own}, offsets=False, shutter=True)
+    [warning] = times.warnings
+    assert warning.code == "undetermined_readout_time"
+    assert "move it faster" in warning.text
+    assert abs(times.cameras[""].readout - READOUT_S) < 3 * times.cameras[""].readout_std
+
+
+def test_too_few_images_are_refused():
+    views = views_of(0)[:15]
+    with pytest.raises(InsufficientData) as caught:
+        time_cameras({"": TimedCamera(lens_of(views), views, as_designed=True)}, offsets=False, shutter=True)
+    assert caught.value.failures[0].code == "too_few_timed_views"
+
+
+def test_images_without_times_are_invalid_input():
+    views = [replace(view, time=None) for view in views_of(0)]
+    lens = lens_of(views)
+    with pytest.raises(InvalidInput, match="set --timestamps or --fps"):
+        time_cameras({"": TimedCamera(lens, views)}, offsets=False, shutter=True)
+
+
+def test_two_images_of_one_time_are_invalid_input():
+    views = list(views_of(0))
+    lens = lens_of(views)
+    views[7] = replace(views[7], time=views[6].time)
+    with pytest.raises(InvalidInput, match="has the time of another image"):
+        time_cameras({"": TimedCamera(lens, views)}, offsets=False, shutter=True)
