@@ -17,8 +17,8 @@ LINES = {
     "__init__": 37,
     "__main__": 6,
     "arrays": 42,
-    "calibrate": 10905,
-    "cameras": 4087,
+    "calibrate": 10919,
+    "cameras": 4097,
     "cli": 3708,
     "errors": 137,
     "estimate": 8569,
@@ -45,7 +45,7 @@ LINES = {
     "tasks": 24938,
     "urls": 99,
 }
-PARTS = {"modules": 502, "records": 722, "records named in one module": 203, "short functions with one reference": 476}
+PARTS = {"modules": 502, "records": 723, "records named in one module": 204, "short functions with one reference": 476}
 PASSED = {"modules": 98, "functions": 991, "records": 114}  # from a table of detections to a camera file
 SHORT = 5  # lines of a function's body, which could as well stand where it is called
 
