@@ -301,7 +301,7 @@ _KNOWN: dict[type, tuple[Declared, ...]] = {}
 
 
 def declared(record: type) -> tuple[Declared, ...]:
-    """Return the options of a record and of those that it holds, in the order of their fields."""
+    """Return the options of a record and of those that it holds, in the order of their fields; keywords come last."""
     if record not in _KNOWN:
         _KNOWN[record] = tuple(_declared(record, ()))
     return _KNOWN[record]
@@ -319,7 +319,8 @@ class _Names(dict[str, Any]):
 
 def _declared(record: type, above: tuple[str, ...]) -> Iterator[Declared]:
     hints = _hints(record)
-    for field in dataclasses.fields(record):
+    # what a command shares with others comes behind its own
+    for field in sorted(dataclasses.fields(record), key=lambda each: each.kw_only is True):
         path = (*above, field.name)
         plain, notes = _split(hints[field.name])
         options = [note for note in notes if isinstance(note, Option)]

@@ -63,7 +63,7 @@ def test_the_file_holds_the_exact_command_that_makes_it(run, table, tmp_path):
     options = ["--no-free-corners", "--max-rejected", 20, "--name", "left", "--model", "opencv5"]
     assert run("calibrate", table, "-o", output, "--jobs", 1, "--verbose", *options)[0] == 0
     recorded = native.read(output).provenance["command"]
-    assert recorded == f"camcal calibrate {table} --model opencv5 --no-free-corners --max-rejected 20 --name left"
+    assert recorded == f"camcal calibrate {table} --model opencv5 --name left --no-free-corners --max-rejected 20"
     content = output.read_bytes()
     assert run(*shlex.split(recorded)[1:], "-o", output)[0] == 0
     assert output.read_bytes() == content

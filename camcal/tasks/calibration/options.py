@@ -69,41 +69,9 @@ MixedSizes = Annotated[
         names="--mixed-sizes",
     ),
 ]
-FlatBoard = Annotated[
-    bool, Option("Assume a planar board as designed; by default its shape is estimated.", group=BOARD)
-]
-FreeCorners = Annotated[bool, Option("Estimate an offset for every corner of the board.", group=BOARD)]
-MaxRejected = Annotated[
-    float,
-    Option(
-        "Fail if a larger share of corners has residuals above 4 % of a square.",
-        metavar="PERCENT",
-        group=CHECKS,
-        type=PERCENT,
-        least=0,
-        most=1,
-    ),
-]
-SaveDetections = Annotated[
-    Path | None,
-    Option(
-        "Also write the detections, so that another calibration needs no images.",
-        metavar="FILE",
-        group=OUTPUT,
-        recorded=False,
-        written=DETECTIONS,
-    ),
-]
 ImageSize = Annotated[
     tuple[int, int] | None,
     Option("Image size for .vnl files, which do not contain it.", metavar="WxH", group=INPUT, type=SIZE),
-]
-Refine = Annotated[
-    bool | None,
-    Option(
-        "Refine the corners with the calibrated lens, add missed ones, and calibrate again; by default if there are "
-        "images."
-    ),
 ]
 RollingShutter = Annotated[
     bool,
@@ -112,22 +80,6 @@ RollingShutter = Annotated[
         "videos are used."
     ),
 ]
-MaxUncertainty = Annotated[
-    float | None,
-    Option(
-        "Exit with 7 if the projection uncertainty (1 sigma, RMS over the area with corners) of a camera is larger; "
-        "the camera file is written all the same.",
-        metavar="PX",
-        group=CHECKS,
-        recorded=False,
-    ),
-]
-
-
-def require_positive(max_uncertainty: float | None) -> None:
-    """Raise InvalidInput unless a largest projection uncertainty, px, is above 0; None for none."""
-    if max_uncertainty is not None and not max_uncertainty > 0:
-        raise InvalidInput(f"--max-uncertainty {max_uncertainty:g} is not above 0")
 
 
 @dataclass(frozen=True)
@@ -193,19 +145,98 @@ class DetectOptions(OptionsRecord):
     overwrite: Overwrite = False
 
 
+@dataclass(frozen=True, kw_only=True)
+class CalibrationOptions(OptionsRecord):
+    """The options that `calibrate` and `rig` share.
+
+    max_rejected: share of the corners, 0 to 1. report: an HTML file, None for none; it is written of a refused
+    calibration too. image_size: (width, height) of the images of a .vnl file. reading: what is made of raw frames.
+    frames: which ones of videos are taken; timing: their times. parts: whether parts of a chessboard will do that show
+    which part they are. refine: measure the corners once more along the edges that the calibrated lens expects, and
+    calibrate with these; None: where there are images. mixed_sizes: whether images turned by 90°, of half the size or
+    off by a pixel or two are used. require, max_uncertainty (px): what the result has to be, see `require_good`.
+    """
+
+    flat_board: Annotated[
+        bool, Option("Assume a planar board as designed; by default its shape is estimated.", group=BOARD)
+    ] = False
+    free_corners: Annotated[bool, Option("Estimate an offset for every corner of the board.", group=BOARD)] = True
+    max_rejected: Annotated[
+        float,
+        Option(
+            "Fail if a larger share of corners has residuals above 4 % of a square.",
+            metavar="PERCENT",
+            group=CHECKS,
+            type=PERCENT,
+            least=0,
+            most=1,
+        ),
+    ] = 0.1
+    save_detections: Annotated[
+        Path | None,
+        Option(
+            "Also write the detections, so that another calibration needs no images.",
+            metavar="FILE",
+            group=OUTPUT,
+            recorded=False,
+            written=DETECTIONS,
+        ),
+    ] = None
+    report: ReportFile = None
+    image_size: ImageSize = None
+    recursive: Recursive = False
+    jobs: Jobs = None
+    batch: BatchOptions = DEFAULT_BATCH
+    reading: ImageReadOptions = AS_IMAGES
+    frames: FrameOptions = BEST_FRAMES
+    timing: Timing = field(default_factory=Timing)
+    parts: Parts = False
+    refine: Annotated[
+        bool | None,
+        Option(
+            "Refine the corners with the calibrated lens, add missed ones, and calibrate again; by default if there "
+            "are images."
+        ),
+    ] = None
+    mixed_sizes: MixedSizes = False
+    require: Annotated[
+        str | None,
+        Option(
+            "Exit with 7 if the calibration is not trustworthy: a lens model does not fit or is not invertible where "
+            "corners are, projections are uncertain, the focal length changes between views, or the views are of "
+            "several cameras. The camera file is written all the same.",
+            metavar=TRUSTWORTHY,
+            group=CHECKS,
+            choices=(TRUSTWORTHY,),
+            recorded=False,
+        ),
+    ] = None
+    max_uncertainty: Annotated[
+        float | None,
+        Option(
+            "Exit with 7 if the projection uncertainty (1 sigma, RMS over the area with corners) of a camera is "
+            "larger; the camera file is written all the same.",
+            metavar="PX",
+            group=CHECKS,
+            recorded=False,
+        ),
+    ] = None
+    figures: FigureOptions = NO_FIGURES
+    overwrite: Overwrite = False
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.max_uncertainty is not None and not self.max_uncertainty > 0:
+            raise InvalidInput(f"--max-uncertainty {self.max_uncertainty:g} is not above 0")
+
+
 @dataclass(frozen=True)
-class CalibrateOptions(OptionsRecord):
+class CalibrateOptions(CalibrationOptions):
     """What to calibrate from and how; see `camcal calibrate --help`.
 
-    inputs: images, folders and globs, or one detections file. output: None for no file. model: None for the usual one,
-    or where another one predicts views clearly better, that one. board: a board file or short form, None when the
-    detections file names it. max_rejected: share of the corners, 0 to 1. image_size: (width, height) of the images of
-    a .vnl file. reading: what is made of raw frames, and whether red and blue get lenses of their own. frames: which
-    ones of videos are taken. parts: whether parts of a chessboard will do that show which part they are. refine:
-    measure the corners once more along the edges that the calibrated lens expects, and calibrate with these; None:
-    where there are images. report: an HTML file, None for none; it is written of a refused calibration too.
-    mixed_sizes: whether images turned by 90°, of half the size or off by a pixel or two are used. require,
-    max_uncertainty (px): what the result has to be, see `require_good`.
+    inputs: images, folders and globs, or one detections file. output: None for no file. board: a board file or short
+    form, None when the detections file names it. model: None for the usual one, or where another one predicts views
+    clearly better, that one. reading: also whether red and blue get lenses of their own.
     """
 
     inputs: Annotated[
@@ -236,42 +267,11 @@ class CalibrateOptions(OptionsRecord):
         str | None,
         Option("Camera file with the initial guess; FILE#NAME for one of several.", metavar="CAMERA", group=LENS),
     ] = None
-    flat_board: FlatBoard = False
-    free_corners: FreeCorners = True
-    max_rejected: MaxRejected = 0.1
     name: Annotated[str, Option("Name of the camera in the file.", metavar="NAME", group=OUTPUT)] = "camera"
-    save_detections: SaveDetections = None
-    report: ReportFile = None
-    image_size: ImageSize = None
-    recursive: Recursive = False
-    jobs: Jobs = None
-    batch: BatchOptions = DEFAULT_BATCH
-    reading: ImageReadOptions = AS_IMAGES
-    frames: FrameOptions = BEST_FRAMES
-    timing: Timing = field(default_factory=Timing)
-    parts: Parts = False
-    refine: Refine = None
     rolling_shutter: RollingShutter = False
-    mixed_sizes: MixedSizes = False
-    require: Annotated[
-        str | None,
-        Option(
-            "Exit with 7 if the calibration is not trustworthy: the lens model does not fit or is not invertible where "
-            "corners are, projections are uncertain, the focal length changes between views, or the views are of "
-            "several cameras. The camera file is written all the same.",
-            metavar=TRUSTWORTHY,
-            group=CHECKS,
-            choices=(TRUSTWORTHY,),
-            recorded=False,
-        ),
-    ] = None
-    max_uncertainty: MaxUncertainty = None
-    figures: FigureOptions = NO_FIGURES
-    overwrite: Overwrite = False
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_positive(self.max_uncertainty)
         if self.timing != Timing() and not self.rolling_shutter:
             raise InvalidInput(f"{given_words(self.timing)[0]} goes with --rolling-shutter")
 

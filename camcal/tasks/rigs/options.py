@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Annotated
 from camcal.errors import InvalidInput
 from camcal.options import (
     BOARD,
-    CHECKS,
     INPUT,
     LENS,
     METHOD,
@@ -19,35 +18,13 @@ from camcal.options import (
     Without,
 )
 from camcal.raw.options import AS_IMAGES, ImageReadOptions
-from camcal.run.options import DEFAULT_BATCH, BatchOptions
-from camcal.tasks.calibration.options import (
-    BEST_FRAMES,
-    FlatBoard,
-    FrameOptions,
-    FreeCorners,
-    ImageSize,
-    MaxRejected,
-    MaxUncertainty,
-    MixedSizes,
-    Parts,
-    Refine,
-    SaveDetections,
-    require_positive,
-)
-from camcal.tasks.gates import TRUSTWORTHY
+from camcal.tasks.calibration.options import CalibrationOptions
 from camcal.tasks.options import (
     BOARD_OPTION,
     CAMERA_FILE,
-    NO_FIGURES,
-    FigureOptions,
-    Jobs,
-    Overwrite,
-    Recursive,
-    ReportFile,
     board_text,
     result_option,
 )
-from camcal.tasks.poses.smooth_options import Timing
 from camcal.tasks.suggestions import lens_model_names, lens_models
 
 if TYPE_CHECKING:
@@ -72,15 +49,14 @@ JOINT, FIXED, PRIOR = "joint", "fixed", "prior"
 
 
 @dataclass(frozen=True)
-class RigSettings(OptionsRecord):
+class RigSettings(CalibrationOptions):
     """How the cameras of a rig are calibrated; see `camcal rig --help`.
 
     board: None where a detections file names it, else a tuple of boards, with names where there are several. joined:
     groups of their names; none: all are. relations, distances: what is known of them. match: how images of one capture
     are found. tolerance: s, None for half of the shortest interval. models: a lens model, or NAME=MODEL for single
     cameras; none for those that predict views best. guess: camera files, or NAME=FILE for single cameras. lenses: joint
-    estimates them with the rig, starting at a guess if there is one; fixed and prior need one. The other options are
-    those of `calibrate`.
+    estimates them with the rig, starting at a guess if there is one; fixed and prior need one.
     """
 
     output: Annotated[Path | None, result_option(CAMERA_FILE)] = None
@@ -145,7 +121,6 @@ class RigSettings(OptionsRecord):
             least=0,
         ),
     ] = None
-    timing: Timing = field(default_factory=Timing)
     models: Annotated[
         tuple[str, ...],
         Option(
@@ -177,18 +152,7 @@ class RigSettings(OptionsRecord):
             group=LENS,
         ),
     ] = ()
-    flat_board: FlatBoard = False
-    free_corners: FreeCorners = True
-    max_rejected: MaxRejected = 0.1
-    report: ReportFile = None
-    image_size: ImageSize = None
-    recursive: Recursive = False
-    jobs: Jobs = None
-    batch: BatchOptions = DEFAULT_BATCH
-    reading: Annotated[ImageReadOptions, Without(("colours",))] = AS_IMAGES
-    frames: FrameOptions = BEST_FRAMES
-    parts: Parts = False
-    refine: Refine = None
+    reading: Annotated[ImageReadOptions, Without(("colours",))] = field(default=AS_IMAGES, kw_only=True)
     motion: Annotated[
         bool | None,
         Option(
@@ -197,27 +161,11 @@ class RigSettings(OptionsRecord):
             group=METHOD,
         ),
     ] = None
-    mixed_sizes: MixedSizes = False
-    save_detections: SaveDetections = None
-    require: Annotated[
-        str | None,
-        Option(
-            "Exit with 7 if the rig or one of its cameras is not trustworthy; the rig file is written all the same.",
-            metavar=TRUSTWORTHY,
-            group=CHECKS,
-            choices=(TRUSTWORTHY,),
-            recorded=False,
-        ),
-    ] = None
-    max_uncertainty: MaxUncertainty = None
-    figures: FigureOptions = NO_FIGURES
-    overwrite: Overwrite = False
 
     def __post_init__(self) -> None:
         if self.board is not None and not isinstance(self.board, tuple):
             object.__setattr__(self, "board", (self.board,))
         super().__post_init__()
-        require_positive(self.max_uncertainty)
         if self.lenses != JOINT and not self.guess:
             raise InvalidInput(f"--lenses {self.lenses} needs the lenses: give --guess FILE, or --guess NAME=FILE")
         if self.tolerance is not None and self.match in (NAME, INDEX):
