@@ -17,8 +17,8 @@ LINES = {
     "__init__": 37,
     "__main__": 6,
     "arrays": 42,
-    "calibrate": 10938,
-    "cameras": 4087,
+    "calibrate": 10962,
+    "cameras": 4097,
     "cli": 3708,
     "errors": 137,
     "estimate": 8569,
@@ -42,11 +42,11 @@ LINES = {
     "stereo": 5069,
     "system": 281,
     "targets": 7151,
-    "tasks": 25052,
+    "tasks": 25053,
     "urls": 99,
 }
-PARTS = {"modules": 503, "records": 723, "records named in one module": 203, "short functions with one reference": 479}
-PASSED = {"modules": 100, "functions": 1002, "records": 115}  # from a table of detections to a camera file
+PARTS = {"modules": 503, "records": 724, "records named in one module": 204, "short functions with one reference": 479}
+PASSED = {"modules": 100, "functions": 1003, "records": 115}  # from a table of detections to a camera file
 SHORT = 5  # lines of a function's body, which could as well stand where it is called
 
 
