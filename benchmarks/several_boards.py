@@ -7,11 +7,15 @@ degree of freedom; the largest error of a camera's position in mm and of its rot
 
 two sides: eight cameras, a panel with a board on each side; four cameras see the one, four the other, none both.
 cube: four cameras around a cube with a board on each face. distances: two sides with boards printed 0.4 % too large and
-0.3 % too small, and three distances with 0.1 mm, one of them between the boards. --mistakes: what is said of scenes
-with something wrong, by how often.
+0.3 % too small, and three distances with 0.1 mm, one of them between the boards.
+
+--mistakes: two cameras, one on each side of the panel; how often a mistake is named as what it is, and how often
+anything is refused where all is right. --rendered: images of four cameras around a cube with an AprilGrid on each face,
+with a blur of 0.7 px and a noise of two grey levels, by `camcal rig` from images to the file.
 
     python benchmarks/several_boards.py [--runs 30] [--scenes NAME …]
-    python benchmarks/several_boards.py --mistakes [--runs 20]
+    python benchmarks/several_boards.py --mistakes [--runs 30]
+    python benchmarks/several_boards.py --rendered [--moments 16]
 """
 
 import argparse
@@ -19,22 +23,33 @@ import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+import json
+import resource
+import subprocess
 import sys
+import tempfile
 import time
+from collections import Counter
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 
 from camcal.calibrate.rigs.calibrate import calibrate_rig
-from camcal.calibrate.rigs.measured import KnownDistance, Measured
+from camcal.calibrate.rigs.measured import KnownDistance, KnownRelation, Measured
 from camcal.calibrate.rigs.record import RigCalibration, RigOptions
 from camcal.cameras.catalogue import model_named
+from camcal.cameras.model import Camera
+from camcal.errors import CamcalError
+from camcal.formats import boards
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
+from camcal.simulate.render import Exposure, develop, evenly_lit, light
+from camcal.targets.board import Board
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
-from body_scenes import BodyScene, captures_of, cube, two_sides
+from body_scenes import SIZE, BodyScene, captures_of, cube, transform, two_sides
 
 MODEL = model_named("opencv5")
 ENDS = (("a", 0, "a", 53), ("b", 0, "b", 39), ("a", 0, "b", 39))  # points between which distances are measured
@@ -127,11 +142,137 @@ def rows(name: str, runs: int) -> None:
         print(f"{line} {squared:9.2f} {mm:8.3f} {degrees:8.4f} {seconds:6.1f}", flush=True)
 
 
+def wrong_scene(case: str, seed: int) -> tuple[BodyScene, Measured]:
+    """Return a scene of two cameras, with what is said to be known of it."""
+    turns = {"one axis": (0.5, 0.0, 0.0), "one axis, upright": (0.0, 0.5, 0.0)}.get(case, (0.6, 0.6, 0.5))
+    scene = two_sides(seed, 20, turns=turns, per_side=1)
+    rng = np.random.default_rng([seed, 5])
+    if case == "boards move":
+        steps = [transform(0.3 * rng.normal(size=3), 0.1 * rng.normal(size=3)) for _ in scene.motions["b"]]
+        moved = [own @ step for own, step in zip(scene.motions["b"], steps, strict=True)]
+        scene = replace(scene, motions={**scene.motions, "b": moved})
+    if "distance" in case:
+        scene = replace(scene, printed=PRINTED)
+        known = list(distances(scene, 1e-4, rng))
+        if "wrong" in case:
+            which = int(rng.integers(3))
+            known[which] = replace(known[which], metres=known[which].metres + 1e-3 * rng.choice([-1, 1]), words="wrong")
+        return scene, Measured(distances=tuple(known))
+    if "relation" in case:
+        truth = scene.on_body["b"] @ transform(1e-4 / 0.3 * rng.normal(size=3), 1e-4 * rng.normal(size=3))
+        if "wrong" in case:
+            truth[:3, 3] += 2e-3 * np.linalg.qr(rng.normal(size=(3, 3)))[0][0]
+        covariance = np.diag([1e-8] * 3 + [(1e-4 / 0.3) ** 2] * 3)
+        return scene, Measured((KnownRelation(0, 1, Pose(truth[:3, :3], truth[:3, 3]), covariance),))
+    return scene, Measured()
+
+
+CASES = {
+    "all right": "",
+    "distances": "",
+    "relation": "",
+    "wrong distance": "distance_contradicted",
+    "wrong relation": "relation_contradicted",
+    "boards move": "boards_not_joined",
+    "one axis": "undetermined_motion",
+    "one axis, upright": "undetermined_motion",
+}
+
+
+def said_of(case: str, seed: int) -> str:
+    """Return the code of what is said of a scene, nothing where it is calibrated."""
+    scene, measured = wrong_scene(case, seed)
+    captures = captures_of(scene, seed=seed)
+    try:
+        calibrate_rig(captures, scene.together, RigOptions(dict.fromkeys(captures.cameras, MODEL), measured=measured))
+    except CamcalError as error:
+        [failure, *_] = getattr(error, "failures", ()) or [None]
+        code = "no code" if failure is None else failure.code
+        return code if code != "distance_contradicted" or "wrong" in failure.text else "another distance"
+    return ""
+
+
+def mistakes(runs: int) -> None:
+    print("case               runs  as wanted  else")
+    for case, wanted in CASES.items():
+        said = Counter(said_of(case, seed) for seed in range(runs))
+        others = ", ".join(f"{code or 'nothing'} {count}" for code, count in said.items() if code != wanted)
+        print(f"{case:18s} {runs:4d} {said[wanted]:10d}  {others}", flush=True)
+
+
+def rendered(moments: int) -> None:
+    tags = Board("aprilgrid", 3, 3, 0.0805, 0.07, "tag36h11")
+    faces = {f"f{face}": replace(tags, first_marker=9 * face) for face in range(6)}
+    scene = cube(0, moments, 4, faces)
+    with tempfile.TemporaryDirectory() as folder:
+        boards.write(Path(folder) / "cube.yaml", scene.together)
+        seen = sum(picture(scene, name, moment, Path(folder)) for name in scene.cameras for moment in range(moments))
+        before = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime
+        command = [sys.executable, "-m", "camcal", "rig", *(f"{name}={name}" for name in scene.cameras), "--json"]
+        command += ["--board", "cube.yaml", "-o", "rig.yaml", "--model", "opencv5", "--jobs", "1"]
+        done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=True)
+        seconds = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime - before
+    found = json.loads(done.stdout)
+    errors = []
+    for name, own in found["transforms"].items():
+        target, source = name.split("_T_")
+        what, truth = (
+            "boards",
+            np.linalg.inv(scene.on_body.get(target, np.eye(4))) @ scene.on_body.get(source, np.eye(4)),
+        )
+        if target in scene.cameras:
+            what, truth = "cameras", scene.relative(target)
+        errors.append(error_of(what, Pose(np.array(own["R"]), np.array(own["t"])), np.array(own["covariance"]), truth))
+    images, trusted = len(scene.cameras) * moments, "trustworthy" if found["trustworthy"] else "not trustworthy"
+    print(f"{images} images, {seen} faces within them, {seconds:.0f} s CPU, {trusted}")
+    print("transforms  count  rms z  largest       mm  degrees")
+    for what in ("cameras", "boards"):
+        own = [each for each in errors if each.what == what]
+        z = np.array([each.z for each in own])
+        mm, degrees = max(each.mm for each in own), max(each.degrees for each in own)
+        print(f"{what:10s} {len(own):6d} {np.sqrt(np.mean(z**2)):6.2f} {np.abs(z).max():8.2f} {mm:8.3f} {degrees:8.4f}")
+
+
+def picture(scene: BodyScene, name: str, moment: int, folder: Path) -> int:
+    """Write the image of a camera at a moment; return how many faces it shows."""
+    matrix, coefficients = scene.lenses[name]
+    lens = Camera(MODEL, SIZE, [matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *coefficients])
+    exposure, rng = Exposure(), np.random.default_rng([moment, int(name[1:]), 9])
+    image, count = np.full(SIZE[::-1], exposure.background), 0
+    for face, board in scene.boards.items():
+        pose = scene.pose_of(name, face, moment)
+        # the faces of a cube that are seen do not hide each other: each is drawn where its paper is
+        corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * 0.56 * np.array(board.extent)
+        paper = np.column_stack([corners + np.array(board.extent) / 2, np.zeros(4)])
+        middle = (pose[:3, :3] @ paper.mean(axis=0)) + pose[:3, 3]
+        if board.z_sign * pose[:3, 2] @ middle < 0.1 * np.linalg.norm(middle):
+            continue
+        outline = cv2.projectPoints(paper, pose[:3, :3], pose[:3, 3], matrix, coefficients)[0].reshape(-1, 2)
+        inside = ((outline > 0) & (outline < np.array(SIZE) - 1)).all()
+        drawn = evenly_lit(lens, board, Pose(pose[:3, :3], pose[:3, 3]), exposure)
+        mask = cv2.fillConvexPoly(np.zeros(SIZE[::-1], np.uint8), np.round(outline).astype(np.int32), 1)
+        image = np.where(mask > 0, drawn, image)
+        count += int(inside)
+    (folder / name).mkdir(exist_ok=True)
+    taken = develop(image * light(SIZE, exposure, rng.uniform(0, 2 * np.pi)), exposure, rng)
+    cv2.imwrite(str(folder / name / f"{moment:03d}.png"), taken)
+    return count
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--runs", type=int, default=30)
     parser.add_argument("--scenes", nargs="+", default=["two sides", "cube", "distances"])
+    parser.add_argument("--mistakes", action="store_true")
+    parser.add_argument("--rendered", action="store_true")
+    parser.add_argument("--moments", type=int, default=16)
     given = parser.parse_args()
+    if given.mistakes:
+        mistakes(given.runs)
+        return
+    if given.rendered:
+        rendered(given.moments)
+        return
     print("scene      transforms     count  rms z  largest  NEES/dof       mm  degrees    CPU")
     for name in given.scenes:
         rows(name, given.runs)

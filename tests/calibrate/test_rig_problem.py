@@ -1,6 +1,7 @@
 """The layout of a rig: derivatives by differences, equations by parts, what is left open by dense matrices."""
 
 from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -21,13 +22,16 @@ from camcal.calibrate.rigs.effects import (
 )
 from camcal.calibrate.rigs.estimator import part_posteriors
 from camcal.calibrate.rigs.fit import with_shares
+from camcal.calibrate.rigs.measured import BoardPoses, KnownDistance, KnownRelation, Measured
 from camcal.calibrate.rigs.problem import LensPrior, RigProblem, RigState
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.observations import Observations
 from camcal.geometry import rotation as so3
+from camcal.geometry.pose import Pose
 from camcal.solve.least_squares import assemble, linearise
 from camcal.solve.steps import Step, factorise
-from camcal.targets.board import Board
+from camcal.targets.board import SCALE, Board, terms_of
+from camcal.targets.board_set import board_set
 
 BOARD = Board("chessboard", 4, 3, 0.05)
 SEEN = (np.array([0, 1, 2, 3]), np.array([0, 2, 3]), np.array([1, 2]))  # captures of three cameras
@@ -86,14 +90,65 @@ def made(seed=0, *, offsets=True, terms=("xy", "P2(x)")):
     return problem.with_parts(parts), state
 
 
+def on_two_boards(seed=0):
+    """A rig problem of two boards on one body, which cameras see both in some captures; a distance is known."""
+    rng = np.random.default_rng([seed, 1])
+    problem, state = made(seed)
+    together = board_set({"a": BOARD, "b": Board("chessboard", 5, 2, 0.05)})
+    terms = terms_of(together, ("xy", SCALE))
+    on_body = Pose.from_vector(np.array([0.1, -0.2, 0.3]), np.array([0.02, 0.2, 0.03]))
+    state = replace(
+        state,
+        shape=1e-4 * rng.normal(size=len(terms)),
+        offsets=1e-4 * rng.normal(size=(together.count, 3)),
+        boards=BoardPoses(np.stack([np.eye(3), on_body.rotation]), np.stack([np.zeros(3), on_body.translation])),
+    )
+    parts, captures, bodies = [], [], []
+    for part, own in zip(problem.parts, SEEN, strict=True):
+        of_views = np.concatenate([own, own[1:]])  # all but the first capture show both
+        boards = np.repeat([0, 1], [len(own), len(own) - 1])
+        ids = np.array([np.arange(12), np.r_[12:22, 0, 0]])[boards]
+        present = np.array([np.ones(12, bool), np.arange(12) < 10])[boards]
+        observations = Observations(
+            ids, np.zeros((2, *ids.shape)), np.where(present, rng.uniform(0.5, 1, ids.shape), 0.0), present=present
+        )
+        noise, stds = rng.uniform(0.5, 2, len(ids)), np.full(len(terms), 1e-3)
+        parts.append(replace(part, board=together, observations=observations, terms=terms, term_std=stds, noise=noise))
+        captures.append(of_views)
+        bodies.append(boards)
+    measured = Measured(
+        (KnownRelation(0, 1, on_body, 1e-4 * np.eye(6)),), (KnownDistance((3, 15), (0, 1), 0.25, 1e-3),)
+    )
+    problem = RigProblem(
+        tuple(parts),
+        tuple(captures),
+        4,
+        problem.priors_of_lenses,
+        bodies=tuple(bodies),
+        attached=(1,),
+        measured=measured,
+    )
+    parts = [
+        replace(
+            part,
+            observations=replace(
+                part.observations,
+                pixels=(found := part.residuals(problem.of_camera(state, camera))) + 0.3 * rng.normal(size=found.shape),
+            ),
+        )
+        for camera, part in enumerate(problem.parts)
+    ]
+    return problem.with_parts(parts), state
+
+
 def cost_at(problem, state, shared, groups):
     blocks = problem.blocks(problem.retract(state, Step(shared, groups)))
     return sum(block.weighed()[0] for block in blocks)
 
 
-@pytest.mark.parametrize("offsets", [False, True])
-def test_gradient_is_that_of_the_cost(offsets):
-    problem, state = made(offsets=offsets)
+@pytest.mark.parametrize("scene", [partial(made, offsets=False), made, on_two_boards])
+def test_gradient_is_that_of_the_cost(scene):
+    problem, state = scene()
     equations = linearise(problem, state)
     zero, none = np.zeros(problem.shared), np.zeros((4, POSE))
     for index in range(problem.shared):
@@ -121,9 +176,9 @@ def separate(problem, state, columns=None):
     return [block for block, _ in found], [equations for _, equations in found]
 
 
-@pytest.mark.parametrize("offsets", [False, True])
-def test_equations_of_single_cameras_join_to_those_of_the_rig(offsets):
-    problem, state = made(offsets=offsets)
+@pytest.mark.parametrize("scene", [partial(made, offsets=False), made, on_two_boards])
+def test_equations_of_single_cameras_join_to_those_of_the_rig(scene):
+    problem, state = scene()
     whole = linearise(problem, state)
     found = problem.joined(
         separate(problem, state)[1], [np.zeros((len(own), 0), np.intp) for own in problem.captures], POSE
@@ -151,9 +206,9 @@ def dense(equations):
     return matrix
 
 
-@pytest.mark.parametrize("offsets", [False, True])
-def test_degrees_of_freedom_and_pose_covariances_are_those_of_the_whole_matrix(offsets):
-    problem, state = made(offsets=offsets)
+@pytest.mark.parametrize("scene", [partial(made, offsets=False), made])
+def test_degrees_of_freedom_and_pose_covariances_are_those_of_the_whole_matrix(scene):
+    problem, state = scene()
     blocks, equations = separate(problem, state)
     whole, empty = linearise(problem, state), [np.zeros((len(own), 0), np.intp) for own in problem.captures]
     found = part_posteriors(problem, state, factorise(whole), blocks, equations, empty, np.zeros((4, 0)))

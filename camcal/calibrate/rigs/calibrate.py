@@ -67,7 +67,7 @@ def calibrate_rig(captures: Captures, board: Board, options: RigOptions) -> RigC
     problem, count = result.problem, result.problem.board_start
     ratios = np.linalg.solve(result.noise_covariance[:count, :count], result.covariance[:count, :count])
     blocks = problem.measured_blocks(result.plain.state)
-    require_measured(measured, blocks, result.noise_covariance, np.trace(ratios) / count, rows.boards)
+    require_measured(measured, blocks, result.plain.factors.shared_covariance(), np.trace(ratios) / count, rows.boards)
     found = replace(found, warnings=(*found.warnings, *placed.messages))
     used = tuple(captures.names[index] for index in first)
     return _record(result, linked, used, _left_out(captures, cameras, linked), found, placed.roots)

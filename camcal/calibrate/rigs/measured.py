@@ -15,7 +15,7 @@ from camcal.solve.steps import Block, Jacobian
 
 _CONTRADICTED = 30.0  # of χ² of six coordinates: one in 25 000 relations that are right
 _FAR = 4.5  # standard deviations of a distance
-_SAID = 1e-6  # share of what is left of a variance, from which on other things say something
+_SAID = 1e-6  # share of a variance that is left by other things, from which on they say something
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,12 +87,19 @@ class Measured:
 
 
 def measured_blocks(
-    known: Measured, boards: BoardPoses, starts: Mapping[int, int], points: Array, basis: Array, terms: int
+    known: Measured,
+    boards: BoardPoses,
+    starts: Mapping[int, int],
+    points: Array,
+    basis: Array,
+    terms: int,
+    offsets: int | None = None,
 ) -> list[Block]:
     """Return what is known as residuals over their standard deviations.
 
     starts: where the poses of boards begin among the shared parameters, of those that move. points: (C, 3) of the
-    boards, each in the frame of its own. basis: (C, 3, S) by the terms of their shape, which begin at `terms`.
+    boards, each in the frame of its own. basis: (C, 3, S) by the terms of their shape, which begin at `terms`; the
+    offsets of points begin at `offsets`, None where they are not among the shared parameters.
     """
     result = []
     for relation in known.relations:
@@ -105,13 +112,13 @@ def measured_blocks(
         ]
         result.append(Block((root @ apart)[None], tuple(jacobians)))
     for distance in known.distances:
-        length, by_boards, by_terms = distance_of(distance, boards, points, basis)
-        jacobians = [
-            Jacobian(by[None, None] / distance.std, np.arange(starts[board], starts[board] + POSE))
-            for board, by in by_boards.items()
-            if board in starts
-        ]
-        jacobians.append(Jacobian(by_terms[None, None] / distance.std, np.arange(terms, terms + len(by_terms))))
+        length, by_boards, by_points = distance_of(distance, boards, points)
+        by_terms = sum((by @ basis[point] for point, by in by_points.items()), np.zeros(basis.shape[2]))
+        slopes = [(starts[board], by) for board, by in by_boards.items() if board in starts]
+        slopes.append((terms, by_terms))
+        if offsets is not None:
+            slopes += [(offsets + 3 * point, by) for point, by in by_points.items()]
+        jacobians = [Jacobian(by[None, None] / distance.std, np.arange(start, start + len(by))) for start, by in slopes]
         result.append(Block(np.array([[(length - distance.metres) / distance.std]]), tuple(jacobians)))
     return result
 
@@ -132,9 +139,11 @@ def relation_step(relation: KnownRelation, boards: BoardPoses) -> tuple[Array, A
 
 
 def distance_of(
-    distance: KnownDistance, boards: BoardPoses, points: Array, basis: Array
-) -> tuple[float, dict[int, Array], Array]:
-    """Return the distance of two points, m, and its derivatives by the steps (6,) of their boards and by terms (S,)."""
+    distance: KnownDistance, boards: BoardPoses, points: Array
+) -> tuple[float, dict[int, Array], dict[int, Array]]:
+    """Return the distance of two points, m, its derivatives by the steps (6,) of their boards, and by the points (3,)
+    in the frames of these.
+    """
     rotated = [
         boards.rotations[board] @ points[point] for board, point in zip(distance.boards, distance.points, strict=True)
     ]
@@ -142,11 +151,11 @@ def distance_of(
     length = float(np.linalg.norm(ends[0] - ends[1]))
     axis = (ends[0] - ends[1]) / max(length, 1e-12)
     by_boards: dict[int, Array] = {}
-    by_terms = np.zeros(basis.shape[2])
+    by_points: dict[int, Array] = {}
     for sign, board, point, arm in zip((1.0, -1.0), distance.boards, distance.points, rotated, strict=True):
         by_boards[board] = by_boards.get(board, np.zeros(POSE)) + sign * np.concatenate([axis, np.cross(arm, axis)])
-        by_terms += sign * (axis @ boards.rotations[board]) @ basis[point]
-    return length, by_boards, by_terms
+        by_points[point] = sign * (axis @ boards.rotations[board])
+    return length, by_boards, by_points
 
 
 def require_measured(

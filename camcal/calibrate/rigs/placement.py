@@ -6,7 +6,7 @@ the motion links them: with K₁_T_L₁ and K₂_T_L₂ of the same captures, L�
 them, as of a hand and an eye. That leaves open what a motion about one axis leaves open.
 """
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -25,7 +25,8 @@ from camcal.messages import Message
 from camcal.targets.board import Board
 
 _LEAST_MOTIONS = 4  # captures from which a motion links groups of cameras
-_APART, _TURNED = 0.05, np.radians(5.0)  # of the distance of the boards, and rad: boards that are not joined
+_APART = 0.05  # of the distance of the boards: boards that are not joined
+_TURNED_DEG = 5.0
 _MISFIT = 0.1  # of what a body moves by: a motion that is not that of one body
 
 
@@ -75,18 +76,14 @@ class PlacedRig:
         return tuple(self.bodies[board] for board in self.attached)
 
 
-class _Groups:
-    """Things that are linked to each other, and their poses thing_T_group."""
+_Members = list[dict[int, Pose]]  # groups of things that are linked to each other: their poses thing_T_group
 
-    def __init__(self, placed: Iterable[Mapping[int, Pose]]) -> None:
-        self.members = [dict(own) for own in placed]
 
-    def join(self, first: int, second: int, first_T_second: Pose) -> None:
-        """Join two groups, by their places; the second is gone."""
-        back = first_T_second.inverse()
-        moved = {thing: pose @ back for thing, pose in self.members[second].items()}
-        self.members[first] |= moved
-        del self.members[second]
+def _join(groups: _Members, first: int, second: int, first_T_second: Pose) -> None:
+    """Join two groups, by their places; the second is gone."""
+    back = first_T_second.inverse()
+    groups[first] |= {thing: pose @ back for thing, pose in groups[second].items()}
+    del groups[second]
 
 
 def place_rig(
@@ -102,22 +99,22 @@ def place_rig(
     `links.place`. Raises InsufficientData where boards that are said to be joined move against each other, where known
     relations do not fit, and where the motion that links groups does not determine how they stand.
     """
-    groups = _Groups(
+    groups = [
         {camera: Pose(own.rotations[camera], own.translations[camera]) for camera in own.rotations} for own in linked
-    )
-    boards = _Groups({board: Pose.identity()} for board in range(len(rows.boards)))
-    seen = _Sightings(cameras, rows, groups, boards)
+    ]
+    boards = [{board: Pose.identity()} for board in range(len(rows.boards))]
+    seen = _Linking(cameras, rows, groups, boards)
     for relation in known:
         seen.check_known(relation)
         seen.join_known(relation)
     refused: list[Message] = []
     while seen.join_boards() or seen.join_cameras() or seen.join_by_motion(names, refused):
         pass
-    chosen = min(groups.members, key=lambda own: (-len(own), min(own)))
+    chosen = min(groups, key=lambda own: (-len(own), min(own)))
     first = chosen[min(chosen)].inverse()
     poses = {camera: chosen[camera] @ first for camera in sorted(chosen)}
     bodies, on_body = list(range(len(rows.boards))), BoardPoses.one(len(rows.boards))
-    for own in boards.members:
+    for own in boards:
         root = min(own)
         for board, pose in own.items():
             root_T_board = own[root] @ pose.inverse()
@@ -152,36 +149,36 @@ def _unlinked_boards(rows: Rows, bodies: Sequence[int], seen: set[int]) -> Itera
 
 
 @dataclass(frozen=True, eq=False)
-class _Sightings:
+class _Linking:
     """What groups of cameras see of groups of boards."""
 
     cameras: Sequence[CameraPoses]
     rows: Rows
-    groups: _Groups
-    boards: _Groups
+    groups: _Members
+    boards: _Members
 
     def poses(self, group: int, body: int) -> dict[int, Pose]:
         """Return group_T_body of a group of cameras and one of boards by the moments of captures."""
         found: dict[int, list[Pose]] = {}
-        for camera, camera_T_group in self.groups.members[group].items():
+        for camera, camera_T_group in self.groups[group].items():
             own, back = self.cameras[camera], camera_T_group.inverse()
             for row, rotation, translation in zip(own.captures, own.rotations, own.translations, strict=True):
-                board_T_body = self.boards.members[body].get(int(self.rows.board[row]))
+                board_T_body = self.boards[body].get(int(self.rows.board[row]))
                 if board_T_body is not None:
                     pose = back @ Pose(rotation, translation) @ board_T_body
                     found.setdefault(int(self.rows.moment[row]), []).append(pose)
         return {moment: _mean(poses) for moment, poses in found.items()}
 
     def _body(self, group: int) -> int:
-        return self.rows.bodies[min(self.boards.members[group])]
+        return self.rows.bodies[min(self.boards[group])]
 
     def _pairs_of_boards(self) -> Iterator[tuple[int, int]]:
-        for one, other in combinations(range(len(self.boards.members)), 2):
+        for one, other in combinations(range(len(self.boards)), 2):
             if self._body(one) == self._body(other):
                 yield one, other
 
     def _place_of(self, board: int) -> int:
-        return next(place for place, own in enumerate(self.boards.members) if board in own)
+        return next(place for place, own in enumerate(self.boards) if board in own)
 
     def relation(self, one: int, other: int) -> tuple[Pose, Poses, float] | None:
         """Return one_T_other of two groups of boards that cameras saw in one capture, what captures say of it, and how
@@ -189,7 +186,7 @@ class _Sightings:
         """
         found: list[Pose] = []
         far: list[float] = []
-        for group in range(len(self.groups.members)):
+        for group in range(len(self.groups)):
             first, second = self.poses(group, one), self.poses(group, other)
             found += [first[moment].inverse() @ second[moment] for moment in first if moment in second]
             far += [float(np.linalg.norm(first[moment].translation)) for moment in first if moment in second]
@@ -200,10 +197,10 @@ class _Sightings:
         target, source = (self._place_of(board) for board in (relation.target, relation.source))
         if target == source:
             return
-        to_target = self.boards.members[target][relation.target].inverse()
-        first_T_second = to_target @ relation.pose @ self.boards.members[source][relation.source]
+        to_target = self.boards[target][relation.target].inverse()
+        first_T_second = to_target @ relation.pose @ self.boards[source][relation.source]
         first, second = min(target, source), max(target, source)
-        self.boards.join(first, second, first_T_second if first == target else first_T_second.inverse())
+        _join(self.boards, first, second, first_T_second if first == target else first_T_second.inverse())
 
     def check_known(self, relation: KnownRelation) -> None:
         """Raise InsufficientData if captures say something else of two boards."""
@@ -212,12 +209,12 @@ class _Sightings:
         if found is None:
             return
         seen, _, far = found
-        to_target = self.boards.members[target][relation.target]
-        seen = to_target @ seen @ self.boards.members[source][relation.source].inverse()
+        to_target = self.boards[target][relation.target]
+        seen = to_target @ seen @ self.boards[source][relation.source].inverse()
         apart = np.linalg.norm(seen.translation - relation.pose.translation)
         turned = np.linalg.norm(so3.log(seen.rotation @ relation.pose.rotation.T))
         spread = np.sqrt([np.trace(relation.covariance[:3, :3]), np.trace(relation.covariance[3:, 3:])])
-        if apart > _APART * far + 5 * spread[0] or turned > _TURNED + 5 * spread[1]:
+        if apart > _APART * far + 5 * spread[0] or turned > np.radians(_TURNED_DEG) + 5 * spread[1]:
             names = [self.rows.boards[board] for board in (relation.target, relation.source)]
             raise contradicted(f"{names[0]}_T_{names[1]}", float(apart), float(turned))
 
@@ -230,26 +227,26 @@ class _Sightings:
             pose, poses, far = found
             shifts = np.linalg.norm(poses.translations - pose.translation, axis=1)
             turns = np.linalg.norm(so3.log(pose.rotation.T @ poses.rotations), axis=1)
-            if np.median(shifts) > _APART * far or np.median(turns) > _TURNED:
-                names = [self.rows.boards[min(self.boards.members[place])] for place in (one, other)]
+            if np.median(shifts) > _APART * far or np.degrees(np.median(turns)) > _TURNED_DEG:
+                names = [self.rows.boards[min(self.boards[place])] for place in (one, other)]
                 text = (
                     f"boards {names[0]} and {names[1]} move against each other, by {1e3 * np.median(shifts):.2g} mm "
                     f"and {np.degrees(np.median(turns)):.2g}° (median): they are not joined; use --joined none"
                 )
                 raise InsufficientData(text, failures=[Message("boards_not_joined", text)])
-            self.boards.join(one, other, pose)
+            _join(self.boards, one, other, pose)
             return True
         return False
 
     def join_cameras(self) -> bool:
         """Join two groups of cameras that saw one group of boards in a capture; return whether there were any."""
-        for first, second in combinations(range(len(self.groups.members)), 2):
+        for first, second in combinations(range(len(self.groups)), 2):
             found: list[Pose] = []
-            for body in range(len(self.boards.members)):
+            for body in range(len(self.boards)):
                 one, other = self.poses(first, body), self.poses(second, body)
                 found += [one[moment] @ other[moment].inverse() for moment in one if moment in other]
             if found:
-                self.groups.join(first, second, centre(stacked(found)))
+                _join(self.groups, first, second, centre(stacked(found)))
                 return True
         return False
 
@@ -260,7 +257,7 @@ class _Sightings:
         """
         refused.clear()
         best: tuple[int, int, int, int, int, list[Pose], list[Pose]] | None = None
-        for first, second in combinations(range(len(self.groups.members)), 2):
+        for first, second in combinations(range(len(self.groups)), 2):
             for pair in self._pairs_of_boards():
                 for body, beside in (pair, pair[::-1]):
                     one, other = self.poses(first, body), self.poses(second, beside)
@@ -275,16 +272,16 @@ class _Sightings:
             return False
         _, first, second, body, beside, carried, seen = best
         fit = closed_form(stacked(carried), stacked(seen))
-        if np.median(fit.shifts) > _MISFIT * fit.reach or np.median(fit.turns) > _TURNED:
-            boards = " and ".join(self.rows.boards[min(self.boards.members[place])] for place in (body, beside))
+        if np.median(fit.shifts) > _MISFIT * fit.reach or np.degrees(np.median(fit.turns)) > _TURNED_DEG:
+            boards = " and ".join(self.rows.boards[min(self.boards[place])] for place in (body, beside))
             text = (
                 f"captures do not fit boards {boards} that are joined: they move against each other, or captures are "
                 "not matched; use --joined none for boards that are not joined"
             )
             raise InsufficientData(text, failures=[Message("boards_not_joined", text)])
-        self.groups.join(first, second, fit.carrier_T_camera)
+        _join(self.groups, first, second, fit.carrier_T_camera)
         body_T_beside = fit.world_T_board if body < beside else fit.world_T_board.inverse()
-        self.boards.join(min(body, beside), max(body, beside), body_T_beside)
+        _join(self.boards, min(body, beside), max(body, beside), body_T_beside)
         return True
 
     def _undetermined(self, first: int, second: int, carried: Sequence[Pose], names: Sequence[str]) -> str | None:
@@ -292,13 +289,13 @@ class _Sightings:
         axis = undetermined_axis(stacked(carried))
         if axis is None:
             return None
-        groups = [", ".join(names[camera] for camera in sorted(self.groups.members[own])) for own in (first, second)]
+        groups = [", ".join(names[camera] for camera in sorted(self.groups[own])) for own in (first, second)]
         if not axis.any():
             return (
                 f"cameras {groups[0]} and {groups[1]} see boards of their own only, and hardly turn against them: how "
                 "they stand to each other is not determined; turn rig or boards by 30° and more about two axes"
             )
-        own = self.groups.members[first]
+        own = self.groups[first]
         axis = own[min(own)].rotation @ axis
         words = ", ".join(f"{value:.2f}" for value in axis * np.sign(axis[np.argmax(np.abs(axis))]))
         return (

@@ -349,7 +349,8 @@ class RigProblem:
         part = self.parts[0]
         starts = {board: self.attached_start + POSE * place for place, board in enumerate(self.attached)}
         points = part.board_points(self.of_camera(state, 0))
-        return measured_blocks(self.measured, state.boards, starts, points, part.shape_basis, self.board_start)
+        offsets = self.dense if self.offsets else None
+        return measured_blocks(self.measured, state.boards, starts, points, part.shape_basis, self.board_start, offsets)
 
     def change(self, before: RigState, after: RigState) -> Array:
         """Return by how much free lens parameters and poses have changed, in the order of the shared ones."""
@@ -381,8 +382,8 @@ class RigProblem:
             count = len(part.free)
             result[own, own] = precision[:count, :count] if known is None else known.root.T @ known.root
             result[self.board_start :, self.board_start :] = precision[count:, count:]
-        measured = self.measured_blocks(state)
-        return result + assemble(measured, self.dense, 0, POSE).shared_shared if measured else result
+        measured = assemble(self.measured_blocks(state), self.shared, 0, POSE)
+        return result + measured.shared_shared[: self.dense, : self.dense]
 
     def captures_only(self, state: RigState) -> "tuple[RigProblem, RigState]":
         """Return the problem and state of the captures' poses alone, everything else held."""
