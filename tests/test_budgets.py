@@ -35,7 +35,7 @@ LINES = {
     "quality": 3056,
     "raw": 5015,
     "records": 155,
-    "report": 7326,
+    "report": 7327,
     "run": 3694,
     "simulate": 1709,
     "solve": 1868,
