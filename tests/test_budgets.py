@@ -17,8 +17,8 @@ LINES = {
     "__init__": 37,
     "__main__": 6,
     "arrays": 42,
-    "calibrate": 10912,
-    "cameras": 4087,
+    "calibrate": 10947,
+    "cameras": 4097,
     "cli": 3708,
     "errors": 137,
     "estimate": 8569,
@@ -45,8 +45,8 @@ LINES = {
     "tasks": 24886,
     "urls": 99,
 }
-PARTS = {"modules": 502, "records": 723, "records named in one module": 203, "short functions with one reference": 476}
-PASSED = {"modules": 100, "functions": 1002, "records": 115}  # from a table of detections to a camera file
+PARTS = {"modules": 502, "records": 724, "records named in one module": 204, "short functions with one reference": 477}
+PASSED = {"modules": 100, "functions": 1003, "records": 115}  # from a table of detections to a camera file
 SHORT = 5  # lines of a function's body, which could as well stand where it is called
 
 

@@ -175,22 +175,26 @@ class BoardProblem:
         derivatives, counts = self.derivatives(state, within_domain=True), self.observations.weights.ravel() > 0
         outside = counts & ~derivatives.valid
         if outside.any():
-            derivatives = self.derivatives(state)
-            fits = self.distances(derivatives.residuals.reshape(self.observations.pixels.shape)) < _FITS * self.sigma
-            if np.any(counts & ~derivatives.valid) or np.any(outside & fits.ravel()):
+            beyond, root = self.derivatives(state, only=outside), self.observations.whitening
+            left = whitened(None if root is None else root.reshape(2, 2, -1)[:, :, outside], beyond.residuals)
+            if not beyond.valid.all() or np.any(np.hypot(*left) < _FITS * self.sigma):
                 return None
+            for name in ("residuals", "by_point", "by_lens"):
+                getattr(derivatives, name)[..., outside] = getattr(beyond, name)
         return [self.data(state, derivatives), *self.priors(state)]
 
     def observed(self, state: State) -> list[Block]:
         """Return the observations, by the lens's formula beyond its domain as well."""
         return [self.data(state, self.derivatives(state))]
 
-    def derivatives(self, state: State, *, within_domain: bool = False) -> "Derivatives":
+    def derivatives(
+        self, state: State, *, within_domain: bool = False, only: Array | slice = slice(None)
+    ) -> "Derivatives":
         """Return the residuals and their derivatives at a state, by the lens's formula beyond its domain as well unless
-        only points within it are to have an image.
+        only points within it are to have an image; only: (M,) bool, of some of the points.
         """
-        rotated, points = (part.reshape(3, -1) for part in self._points(state))
-        pixels = self.observations.pixels.reshape(2, -1)
+        rotated, points = (part.reshape(3, -1)[:, only] for part in self._points(state))
+        pixels = self.observations.pixels.reshape(2, -1)[:, only]
         seen = linearised(self.model, state.parameters, points, pixels, within_domain=within_domain)
         by_lens = seen.by_lens if len(self.free) else np.zeros((2, 0, len(seen.valid)))
         by_lens = by_lens if len(self.free) == by_lens.shape[1] else by_lens[:, self.free]

@@ -22,6 +22,7 @@ from camcal.calibrate.problem import BoardProblem, State
 from camcal.cameras.catalogue import DEFAULT_MODEL, MODELS, WIDE_MODEL, model_named
 from camcal.cameras.lens import CameraModel
 from camcal.cameras.model import Camera
+from camcal.cameras.observations import Observations
 from camcal.cameras.spline import CUBIC, SplinedStereographic
 from camcal.cameras.spline_modes import ReducedSpline, reduced_spline
 from camcal.cameras.validity import border_pixels
@@ -179,7 +180,16 @@ def _of_spline(
     reduced = reduced_spline(camera, *_corners(problem, state), spline)
     problem = replace(problem, model=reduced, free=np.arange(len(reduced.parameter_names)))
     problem = _with_spread(problem, _SPREADS[-1], 1.0, camera.image_size)
+    problem = replace(problem, observations=_inside(problem, state, spline))
     return problem, replace(state, parameters=reduced.start_values.copy())
+
+
+def _inside(problem: BoardProblem, state: State, spline: SplinedStereographic) -> Observations:
+    """Return the observations without the corners at the edge of the knots, which would hold it inside them."""
+    points = problem.camera_points(state)
+    places = np.abs(2 * points[:2] / (np.linalg.norm(points, axis=0) + points[2]))
+    near = (places * _MARGIN > np.array(spline.grid.half)[:, None, None]).any(axis=0)
+    return replace(problem.observations, weights=np.where(near, 0.0, problem.observations.weights))
 
 
 def _with_spread(problem: BoardProblem, spread: float, noise_ratio: float, image_size: tuple[int, int]) -> BoardProblem:

@@ -31,7 +31,9 @@ class Reprojection:
     def by_lens(self) -> Array:
         """The derivatives (2, K, …) by the lens parameters: those of a spline are many."""
         found = self.projected.by_parameters(self.count).transpose(1, 2, 0).reshape(2, -1, *self.valid.shape)
-        return found if self.valid.all() else np.nan_to_num(found)
+        if not self.valid.all():
+            found[..., ~self.valid] = 0.0  # in place: they are most of the memory that a calibration moves
+        return found
 
 
 def residuals(model: CameraModel, parameters: Array, points: Array, pixels: Array) -> Array:

@@ -20,7 +20,7 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.cameras.lens import CameraModel, Domain, Projection, ProjectionJacobians, Rays
 from camcal.cameras.model import Camera
-from camcal.cameras.plane_model import CORE, parts_of
+from camcal.cameras.plane_model import CORE
 from camcal.cameras.spline import Knots, SplinedStereographic
 from camcal.geometry import rotation as so3
 
@@ -30,6 +30,33 @@ _AROUND, _FAR_WEIGHT = 1.05, 1e-3  # of the outermost corner; the base lens may 
 _RANGE = 4.0  # knots over which differences are correlated
 _FEWEST_SHARE = 1e-7  # of the largest eigenvalue: modes that corners hardly see
 _MOST_MODES = 60  # for each axis
+_TILE = 256  # points that are transposed at a time, which stay in the cache
+
+
+@dataclass(frozen=True, eq=False)
+class _ByModes(ProjectionJacobians):
+    """Derivatives by the knots θ, of which those by p are made where they are asked for: poses alone do without."""
+
+    basis: Array = field(default_factory=lambda: np.zeros((0, 0)), repr=False)
+
+    def by_parameters(self, count: int) -> Array:  # noqa: ARG002
+        """Return the derivatives (N, 2, P) by p."""
+        assert self.columns is not None
+        core, taps = len(CORE), (self.d_parameters.shape[2] - len(CORE)) // 2
+        local, first = self.d_parameters.transpose(1, 2, 0), self.columns[:, core]
+        found = np.empty((2, self.basis.shape[1], len(first)))
+        found[:, :core] = local[:, :core]
+        order = np.argsort(first, kind="stable")
+        cells = np.split(order, np.flatnonzero(np.diff(first[order])) + 1) if len(order) else []
+        moved = np.empty((len(first), self.basis.shape[1] - core))
+        for axis, rows in enumerate(found[:, core:]):
+            own = slice(core + axis * taps, core + (axis + 1) * taps)
+            weights = np.ascontiguousarray(local[axis, own].T)
+            for cell in cells:
+                moved[cell] = weights[cell] @ self.basis[self.columns[cell[0], own], core:]
+            for start in range(0, len(moved), _TILE):
+                rows[:, start : start + _TILE] = moved[start : start + _TILE].T
+        return found.transpose(2, 0, 1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,26 +149,7 @@ class ReducedSpline:
     ) -> ProjectionJacobians:
         """Return the pixels of points (N, 3) with their derivatives by points and by p (N, 2, P)."""
         found = self.spline.project_with_jacobians(self.knots_of(parameters), points, within_domain=within_domain)
-        core, taps = len(CORE), (found.d_parameters.shape[2] - len(CORE)) // 2
-        local = found.d_parameters.transpose(1, 2, 0)
-        assert found.columns is not None
-        first = (found.columns[:, core] - core) // 2
-        d_parameters = np.empty((2, self.basis.shape[1], len(first)))
-        d_parameters[:, :core] = local[:, :core]
-        for part in parts_of(len(first)):
-            order = np.argsort(first[part], kind="stable")
-            starts = np.flatnonzero(np.diff(first[part][order], prepend=-1))
-            back = np.empty_like(order)
-            back[order] = np.arange(len(order))
-            for axis, rows in enumerate(d_parameters[:, core:, part]):
-                weights = local[axis, core + axis * taps : core + (axis + 1) * taps, part][:, order]
-                moved = np.empty((len(rows), len(order)))
-                for start, end in zip(starts, np.append(starts[1:], len(order)), strict=True):
-                    columns = found.columns[part.start + order[start], core + axis * taps :][:taps]
-                    np.matmul(self.basis[columns, core:].T, weights[:, start:end], out=moved[:, start:end])
-                for source, row in zip(moved, rows, strict=True):  # row by row, which stays in the cache
-                    row[:] = source.take(back)
-        return ProjectionJacobians(found.pixels, found.valid, found.d_point, d_parameters.transpose(2, 0, 1))
+        return _ByModes(found.pixels, found.valid, found.d_point, found.d_parameters, found.columns, self.basis)
 
     def unproject(self, parameters: Array, pixels: Array) -> Rays:
         """Return the unit rays (N, 3) of pixels (N, 2)."""

@@ -9,7 +9,15 @@ from robot_scenes import board_at, hand_of, noisy, stacked
 
 from camcal.calibrate.robot.estimator import estimate_robot
 from camcal.calibrate.robot.problem import RobotPoses, SeenPoses
-from camcal.calibrate.robot.reading import duplicates, fits_better, moved_from, seen_form, shift_of, undetermined_axis
+from camcal.calibrate.robot.reading import (
+    duplicates,
+    fits_better,
+    moved_from,
+    read_robot,
+    seen_form,
+    shift_of,
+    undetermined_axis,
+)
 from camcal.calibrate.robot.start import Poses, _rotation, _weights, closed_form, pairs_of
 from camcal.calibrate.robot.timing import Motion
 from camcal.errors import InsufficientData
@@ -232,6 +240,24 @@ def test_poses_go_by_time_where_half_of_the_images_are_of_their_hours(share, tim
     rows = RobotRows(np.column_stack([np.arange(10.0), np.ones((10, 7))]))
     inside = round(20 * share)
     assert by_time(rows, [5.0] * inside + [50.0] * (20 - inside)) == timed
+
+
+def test_squares_of_few_degrees_of_freedom_are_as_likely_as_those_of_six():
+    from scipy.stats import chi2
+
+    from camcal.calibrate.robot.estimator import _as_of_six
+
+    share = np.array([0.5, 0.9, 0.99, 0.9999])
+    for freedom in (1.0, 3.0, 6.0):
+        found = _as_of_six(chi2.ppf(share, freedom), np.full(4, freedom))
+        np.testing.assert_allclose(found, chi2.ppf(share, 6), rtol=0.06)
+
+
+def test_of_many_forms_that_fit_as_badly_a_few_are_looked_at():
+    rng = np.random.default_rng(4)
+    camera = poses_of(rng.normal(0, 0.3, (9, 3)), rng.normal(0, 0.1, (9, 3)))
+    candidates = [(str(place), poses_of(rng.normal(0, 0.3, (9, 3)))) for place in range(20)]
+    assert len(read_robot(candidates, camera, (1.0,), (False,), True)) == 8
 
 
 def test_the_student_distribution_counts_gaussian_errors_as_the_noise_says():

@@ -6,16 +6,20 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from observed import PARAMETERS, SIZE, make_scene
+from observed import PARAMETERS, SIZE, make_scene, true_state
 
 from camcal.calibrate.fit import ShapeOptions
 from camcal.calibrate.intrinsics import Options, calibrate, compare_models
+from camcal.calibrate.problem import BoardProblem
+from camcal.calibrate.spline import _of_spline, _with_spread
 from camcal.cameras.catalogue import MODELS, model_named
 from camcal.cameras.directions import direction_covariances, in_hull, lens_difference
 from camcal.cameras.model import Camera
+from camcal.cameras.observations import Observations
 from camcal.cameras.spline_modes import ReducedSpline, reduced_spline
 from camcal.errors import InvalidInput
 from camcal.solve.differentiate import central_jacobian
+from camcal.solve.least_squares import minimise
 from camcal.tasks.calibration.calibrate import _solver_options
 from camcal.tasks.calibration.options import CalibrateOptions
 from camcal.tasks.rigs.rig_lenses import _asked
@@ -143,7 +147,7 @@ def test_few_parameters_move_the_knots_as_their_derivatives_say():
     parameters = reduced.start_values + rng.normal(0, 1e-4, len(reduced.start_values))
     found = reduced.project_with_jacobians(parameters, points)
     numeric = central_jacobian(lambda p: reduced.project(p, points).pixels, parameters, 1e-4)
-    np.testing.assert_allclose(found.d_parameters, numeric, rtol=1e-7, atol=1e-7)
+    np.testing.assert_allclose(found.by_parameters(len(parameters)), numeric, rtol=1e-7, atol=1e-7)
     camera = reduced.camera(SIZE, parameters, np.diag(reduced.prior_std(SIZE, 900.0).clip(0, 1) ** 2))
     np.testing.assert_array_equal(camera.project(points).pixels, found.pixels)
     halved = reduced.rescale(parameters, (0.5, 0.5), (3.0, 4.0))
@@ -152,13 +156,27 @@ def test_few_parameters_move_the_knots_as_their_derivatives_say():
     )
 
 
+def test_corners_at_the_edge_of_the_knots_do_not_hold_a_spline_inside_them():
+    scene = make_scene("kannala_brandt4", count=12, seed=2, parameters=WIDE)
+    observations = Observations.of(scene.observe(2, noise_px=0.1))
+    problem = BoardProblem(scene.camera.model, scene.board, observations, np.arange(8), sigma=0.1)
+    narrow = SPLINED.configured({"knots": [14, 12], "fov_x_deg": 95})
+    own, here = _of_spline(problem, true_state(scene), scene.camera, narrow)
+    there = np.isfinite(own.residuals(here)).all(axis=0)
+    assert 0 < np.sum(there & (own.observations.weights == 0)) < 0.1 * there.size
+    assert there[own.observations.weights > 0].all()
+    found = minimise(_with_spread(own, 1e-3, 1.0, SIZE), here)
+    assert found.reason == "converged"  # not stopped at the boundary of the domain
+
+
 def test_modes_share_nothing_with_base_and_rotations_over_the_corners():
     base = Camera(model_named("kannala_brandt4"), SIZE, np.array(WIDE))
     rng = np.random.default_rng(2)
     corners = np.column_stack([rng.uniform(-0.9, 0.9, (4000, 2)), np.ones(4000)])
     spline = SPLINED.configured({"knots": [16, 14], "fov_x_deg": 120})
     reduced = reduced_spline(base, corners, np.ones(4000), spline)
-    found = reduced.project_with_jacobians(reduced.start_values, corners).d_parameters.reshape(8000, -1)
+    start = reduced.start_values
+    found = reduced.project_with_jacobians(start, corners).by_parameters(len(start)).reshape(8000, -1)
     found = found / np.linalg.norm(found, axis=0)
     assert np.abs(found[:, :8].T @ found[:, 8:]).max() < 1e-3  # the spline is the base to 1e-3
 

@@ -93,6 +93,14 @@ def test_noise_of_poses_without_covariance_counts_as_of_both(handeye):
     )
 
 
+def test_lists_of_poses_that_are_shifted_against_each_other_are_told_in_any_form(handeye, folder):
+    robot, camera = ((folder / name).read_text().splitlines() for name in ("robot.csv", "camera_mm.txt"))
+    (folder / "later.csv").write_text("\n".join(robot[1:]))
+    (folder / "earlier.txt").write_text("\n".join(camera[:-1]))
+    code, _, err = handeye("--camera-poses", "earlier.txt", "--robot", "later.csv", "-o", "x.yaml")
+    assert (code, "once they are shifted by 1: image 2 belongs to pose 1" in err) == (2, True), err
+
+
 def test_with_a_camera_file_poses_of_the_board_give_a_camera_file(handeye, folder):
     assert handeye("camera.yaml", "--camera-poses", "board.csv", "--robot", "robot.csv", "-o", "with.yaml")[0] == 0
     found = cameras.read(folder / "with.yaml")

@@ -115,8 +115,7 @@ def _estimate(problem: RobotProblem, state: RobotState) -> RobotEstimate:
         sigmas = np.maximum(np.sqrt((weights * squares).sum(axis=1) / (_CONSISTENT * dof)), _LEAST)
         # what corners and the other poses leave of a pose's coordinates is smaller than its noise
         left = np.maximum(POSE - spent.sum(axis=0), POSE * _LEFT)
-        distances = (squares / sigmas[:, None] ** 2).sum(axis=0) * POSE / left
-        weights = (_DOF + POSE) / (_DOF + distances)
+        weights = (_DOF + POSE) / (_DOF + _as_of_six((squares / sigmas[:, None] ** 2).sum(axis=0), left))
         robot = replace(problem.robot, sigmas=(float(sigmas[0]), float(sigmas[1])), weights=weights)
         problem = replace(problem, rig=_with_noise(problem.rig, state, factors), robot=robot)
         # noise that is far below what the corners leave open falls for ever: it is none
@@ -125,7 +124,7 @@ def _estimate(problem: RobotProblem, state: RobotState) -> RobotEstimate:
         if converged:
             break
     solution = minimise(problem, state, _STOPPING)
-    joint, scatter = _covariance(problem, solution.state, solution.factors())
+    joint, scatter = _covariance(problem, solution.state, solution.factors(), dof)
     return RobotEstimate(
         problem,
         solution.state,
@@ -140,6 +139,16 @@ def _estimate(problem: RobotProblem, state: RobotState) -> RobotEstimate:
     )
 
 
+def _as_of_six(squares: Array, freedom: Array) -> Array:
+    """Return what is as likely of χ² with 6 degrees of freedom as squares (N,) of it with so many (N,).
+
+    Source: Wilson & Hilferty, Proceedings of the National Academy of Sciences 17, 1931.
+    """
+    spread, of_six = 2 / (9 * freedom), 2 / (9 * POSE)
+    deviations = (np.cbrt(squares / freedom) - 1 + spread) / np.sqrt(spread)
+    return np.asarray(POSE * np.maximum(1 - of_six + deviations * np.sqrt(of_six), 0.0) ** 3)
+
+
 def _with_noise(rig: Any, state: RobotState, factors: Factors) -> Any:
     """Return the problem of the captures with the noise of poses that were given without one."""
     if not isinstance(rig, SeenPoses) or rig.covariances is not None:
@@ -152,8 +161,8 @@ def _with_noise(rig: Any, state: RobotState, factors: Factors) -> Any:
 
 
 def _systematic(found: RobotEstimate) -> dict[str, tuple[float, float]]:
-    """Return what is systematically wrong with the robot's poses, as it was estimated or would be with this noise, and
-    its standard deviation.
+    """Return what is systematically wrong with the robot's poses, as it was estimated or would be, and its standard
+    deviation, with the noise that is left then.
     """
     problem, state = found.problem, found.state
     known = () if problem.robot.velocities is None else (1,)
@@ -161,13 +170,12 @@ def _systematic(found: RobotEstimate) -> dict[str, tuple[float, float]]:
     if len(tested.robot.captures) * POSE < 3 * tested.own:
         return {}
     try:
-        solution = minimise(tested, state, _STOPPING)
-        joint, _ = _covariance(tested, solution.state, solution.factors())
+        other = found if tested.free == problem.free else _estimate(tested, state)
     except (SingularError, np.linalg.LinAlgError):
         return {}  # poses that leave it open
-    std = np.sqrt(np.diag(joint))[-len(tested.free) :]
+    std = np.sqrt(np.diag(other.joint))[-len(tested.free) :]
     return {
-        SYSTEMATIC[place]: (float(solution.state.systematic[place]), float(own))
+        SYSTEMATIC[place]: (float(other.state.systematic[place]), float(own))
         for place, own in zip(tested.free, std, strict=True)
     }
 
@@ -193,15 +201,16 @@ def _residuals_and_spent(problem: RobotProblem, state: RobotState, factors: Fact
     return residuals, np.minimum(spent, 3.0).T
 
 
-def _covariance(problem: RobotProblem, state: RobotState, factors: Factors) -> tuple[Array, float]:
+def _covariance(problem: RobotProblem, state: RobotState, factors: Factors, dof: Array) -> tuple[Array, float]:
     """Return the covariance (S, S) of the shared parameters, of its own ones no less than the scatter from pose to pose
     says, and that scatter: its variance over what the noise says.
 
-    Weights cost a part of what the robot's poses say, and nothing of what corners and priors do.
+    Weights cost a part of what the robot's poses say, and nothing of what corners and priors do; noise that is itself
+    estimated, with `dof` (2,) degrees of freedom, makes errors those of a t distribution.
     """
     claimed, size = factors.shared_covariance(), problem.own
-    shift, turn = (sigma * float(np.sqrt(_INFORMATION)) for sigma in problem.robot.sigmas)
-    less = replace(problem, robot=replace(problem.robot, sigmas=(shift, turn)))
+    shift, turn = np.array(problem.robot.sigmas) * np.sqrt(_INFORMATION * dof / np.maximum(dof - 2.0, 1.0))
+    less = replace(problem, robot=replace(problem.robot, sigmas=(float(shift), float(turn))))
     covariance = minimise(less, state, _STOPPING).factors().shared_covariance()
     own = covariance[-size:, -size:]
     count = len(problem.robot.captures)

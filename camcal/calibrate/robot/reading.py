@@ -5,17 +5,18 @@ The closed form of hand and eye then tells direction and unit. A list shifted ag
 that has moved, and a hand that turned about one axis only are told from it as well.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.calibrate.robot.start import HandEye, Poses, angle_mismatch, closed_form, motions, pairs_of
+from camcal.calibrate.robot.start import HandEye, Poses, angle_mismatch, closed_form, motions, pairs_of, turn_angles
 from camcal.geometry import rotation as so3
 
 LEAST_POSES = 5
 _BETTER = 3.0  # times: by so much another reading has to fit better than the one that was said
+_MOST_FORMS = 8  # that are looked at closely: of a wrong list all fit as badly
 _SHIFTS = (1, -1, 2, -2)
 _AXES = 0.15  # of the spread of turns about the first axis, that about the second
 _LEAST_TURN = 0.0873  # rad
@@ -55,15 +56,9 @@ def read_robot(
     candidates: forms by their names, with poses (N,) in the unit of the file; camera: camera_T_board of the same
     moments. scales: the lengths that the unit may have. directions: whether the poses may be hand_T_base.
     """
-    mismatches = [angle_mismatch(poses, camera) for _, poses in candidates]
-    best = min(mismatches)
-    likely = [
-        candidate
-        for candidate, mismatch in zip(candidates, mismatches, strict=True)
-        if mismatch <= _BETTER * best + _TINY
-    ]
     readings = []
-    for words, poses in likely:
+    for place in _likely([angle_mismatch(poses, camera) for _, poses in candidates]):
+        words, poses = candidates[place]
         for scale in scales:
             scaled = replace(poses, translations=poses.translations * scale)
             for inverted in directions:
@@ -77,15 +72,18 @@ def seen_form(
 ) -> tuple[str, Poses]:
     """Return the form that camera_T_board (N,) has been written in, by what the robot's poses say.
 
-    Both are given in the forms that they may have; poses in the other direction are turned about: the board is in front
-    of the camera, so that no depth is below zero. Lengths that no camera sees a board at are in mm.
+    Both are given in the forms that they may have, and may be shifted against each other; poses in the other
+    direction are turned about: the board is in front of the camera, so that no depth is below zero. Lengths that no
+    camera sees a board at are in mm.
     """
-    mismatches = [min(angle_mismatch(other, own) for _, other in robot) for _, own in camera]
+    apart = np.full(len(camera), np.inf)
+    for shift, rows in _shifted(len(camera[0][1].rotations)):
+        angles = np.stack([turn_angles(poses.take(rows + shift)) for _, poses in robot])
+        here = [np.median(np.abs(angles - turn_angles(own.take(rows).inverse())), axis=1).min() for _, own in camera]
+        apart = np.minimum(apart, here)
     found = []
-    for (words, poses), mismatch in zip(camera, mismatches, strict=True):
-        # mirrored orders of Euler angles turn by the same
-        if mismatch > _BETTER * min(mismatches) + _TINY:
-            continue
+    for place in _likely(apart.tolist()):
+        words, poses = camera[place]
         back = poses.inverse()
         inverted = poses.translations[:, 2].min() <= 0 < back.translations[:, 2].min()
         known, said = (back, f"{words}, board_T_camera") if inverted else (poses, words)
@@ -97,6 +95,13 @@ def seen_form(
     return min(found, key=lambda own: read_robot(robot, own[1], scales, (False, True), in_hand)[0].fit.score)
 
 
+def _likely(mismatches: Sequence[float]) -> list[int]:
+    """Return the places of forms whose angles fit, the best first; mirrored orders of Euler angles turn by the same."""
+    limit = _BETTER * min(mismatches) + _TINY
+    order = sorted(range(len(mismatches)), key=lambda place: mismatches[place])
+    return [place for place in order if mismatches[place] <= limit][:_MOST_FORMS]
+
+
 def _carrier(base_T_hand: Poses, in_hand: bool) -> Poses:
     return base_T_hand if in_hand else base_T_hand.inverse()
 
@@ -106,12 +111,16 @@ def fits_better(own: HandEye, other: HandEye) -> bool:
     return own.score > _BETTER * other.score + _TINY
 
 
+def _shifted(count: int) -> Iterator[tuple[int, Array]]:
+    """Yield by how much a list of so many images may be shifted, 0 first, and the places of those that have a pose."""
+    for shift in (0, *_SHIFTS) if count > LEAST_POSES + 2 else (0,):
+        yield shift, np.arange(max(0, -shift), min(count, count - shift))
+
+
 def shift_of(candidates: Sequence[tuple[str, Poses]], camera: Poses) -> int:
     """Return by how many places the list of poses is shifted against the images, 0 if it is not."""
-    count = len(camera.rotations)
     found = {}
-    for shift in (0, *_SHIFTS) if count > LEAST_POSES + 2 else (0,):
-        rows = np.arange(max(0, -shift), min(count, count - shift))
+    for shift, rows in _shifted(len(camera.rotations)):
         seen = camera.take(rows)
         found[shift] = min(angle_mismatch(poses.take(rows + shift), seen) for _, poses in candidates)
     best = min(found, key=lambda shift: found[shift])

@@ -76,14 +76,17 @@ def motions(poses: Poses, pairs: tuple[Array, Array]) -> Poses:
     return poses.take(first).inverse() @ poses.take(second)
 
 
+def turn_angles(poses: Poses) -> Array:
+    """Return the angles (P,) rad by which poses turn between two moments: the same for both directions of poses."""
+    return np.asarray(np.linalg.norm(so3.log(motions(poses, pairs_of(len(poses.rotations))).rotations), axis=1))
+
+
 def angle_mismatch(robot: Poses, camera: Poses) -> float:
     """Return the median difference (rad) of the angles by which carrier and camera turn between two moments.
 
     The same for both directions of the robot's poses, whatever hand and eye are. camera: camera_T_board.
     """
-    pairs = pairs_of(len(robot.rotations))
-    angles = [np.linalg.norm(so3.log(motions(each, pairs).rotations), axis=1) for each in (robot, camera.inverse())]
-    return float(np.median(np.abs(angles[0] - angles[1])))
+    return float(np.median(np.abs(turn_angles(robot) - turn_angles(camera.inverse()))))
 
 
 def closed_form(robot: Poses, camera: Poses) -> HandEye:
