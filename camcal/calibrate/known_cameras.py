@@ -291,6 +291,16 @@ def _prior(known: KnownCamera, changed: Array) -> LensPrior:
     return LensPrior(known.camera.parameters[free], root)
 
 
+def freed(camera: Camera) -> Camera:
+    """Return a camera of whose lens no covariance is known with that of how lenses change."""
+    if camera.covariance is not None and camera.covariance.any():
+        return camera
+    held = np.isin(camera.model.parameter_names, [*camera.fixed])
+    covariance = changes(camera)
+    covariance[held], covariance[:, held] = 0.0, 0.0
+    return replace(camera, covariance=covariance)
+
+
 def changes(camera: Camera) -> Array:
     """Return the covariance (K, K) of how a lens may have changed."""
     focal, width = float(camera.parameters[0]), camera.image_size[0]

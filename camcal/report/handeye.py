@@ -33,6 +33,7 @@ POSE_COLUMNS = (
     Column("weight"),
 )
 SIGNIFICANT = 3.3  # standard deviations of what is systematically wrong
+_MOST_SCALE = 0.5  # by which a robot's lengths are wrong: poses that belong to no image would best have none
 _MILLI = 1e3
 _LARGE_SHIFT = 5e-3  # m: noise of no robot that is sound
 _LARGE_TURN = 8.7e-3  # rad
@@ -66,7 +67,7 @@ def systematic_messages(systematic: Mapping[str, tuple[float, float]], estimated
     found = []
     for name, (value, std) in systematic.items():
         values = {"value": value, "std": std}
-        if abs(value) < SIGNIFICANT * std:
+        if abs(value) < SIGNIFICANT * std or (name == "scale" and abs(value) > _MOST_SCALE):
             continue
         if name == "scale":
             way = "short" if value > 0 else "long"

@@ -195,7 +195,12 @@ def report(found, **changed):
 @SIDES
 def test_what_is_systematic_is_said_beyond_3_3_standard_deviations(times, beyond):
     for name in ("scale", "delay"):
-        assert bool(systematic_messages({name: (3.3 * times, 1.0)}, ())) == beyond
+        assert bool(systematic_messages({name: (3.3e-3 * times, 1e-3)}, ())) == beyond
+
+
+@SIDES
+def test_lengths_of_a_robot_that_are_wrong_by_more_than_half_are_poses_of_other_images(times, beyond):
+    assert bool(systematic_messages({"scale": (0.5 * times, 1e-3)}, ())) != beyond
 
 
 @SIDES

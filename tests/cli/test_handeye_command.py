@@ -95,6 +95,7 @@ def test_the_document(handeye):
         (["robot.csv", "--robot-form", "quat:wxyz"], 2, "give --robot-form ros"),
         (["inverse.txt", "--robot-unit", "m"], 2, "give --robot-unit mm"),
         (["shifted.csv"], 2, "shifted by 1: image 2 belongs to pose 1"),
+        (["misnamed.csv"], 2, "the names of other images: that of image 2 belongs to image 1"),
         (["few.csv"], 2, f"3 poses for {COUNT} images"),
         (["some.csv"], 4, "3 images with the board and a pose of the robot; 5 or more are needed"),
         (["one_axis.csv"], 4, "the hand turned about one axis only"),
@@ -104,6 +105,10 @@ def test_the_document(handeye):
 def test_what_is_wrong_with_poses_is_named_and_the_remedy_helps(handeye, folder, arguments, code, said):
     rows = (folder / "robot.csv").read_text().splitlines()
     (folder / "few.csv").write_text("\n".join(rows[:3]))
+    first, *named = (folder / "named.csv").read_text().splitlines()
+    texts = [row.partition(",") for row in named]
+    wrong = [",".join((here[0], there[2])) for here, there in zip(texts, [*texts[1:], texts[0]], strict=True)]
+    (folder / "misnamed.csv").write_text("\n".join([first, *wrong]))
     (folder / "some.csv").write_text("\n".join((folder / "named.csv").read_text().splitlines()[:3]))
     about = [Pose.from_vector(np.array([0.0, 0.0, 0.1 * k]), np.array([0.1 * k, 0.0, 0.3])) for k in range(COUNT)]
     turned = [",".join(map(repr, form_named("ros").numbers(pose).tolist())) for pose in about]

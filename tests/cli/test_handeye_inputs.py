@@ -224,6 +224,17 @@ def test_a_lens_that_is_estimated_again_has_its_own_region(handeye, folder):
         assert found.valid.max_radius_px == pytest.approx(expected, rel=1e-6)
 
 
+def test_a_lens_without_covariance_can_be_free(handeye, folder):
+    wrong = Camera(LENS.model, LENS.image_size, LENS.parameters * np.array([1.01, 1.01, 1, 1, 1, 1, 1, 1]))
+    native.write(folder / "foreign.yaml", CameraFile({"camera": CameraEntry(wrong)}))
+    assert handeye("foreign.yaml", "seen.csv", "--robot", "robot.csv", "--free-lens", "-o", "x.yaml")[0] == 0
+    found = cameras.read(folder / "x.yaml").cameras["camera"].camera
+    std = np.sqrt(np.diag(found.covariance))
+    assert (std > 0).all()
+    assert (np.abs(found.parameters - LENS.parameters) < 4 * std).all()
+    assert found.parameters[0] == pytest.approx(1100, abs=1.5)
+
+
 def test_the_page_shows_transforms_noise_and_errors(handeye, folder):
     code, out, _ = handeye("camera.yaml", "seen.csv", "--robot", "longer.csv", "-o", "x.yaml", "--report", "page.html")
     text = (folder / "page.html").read_text()

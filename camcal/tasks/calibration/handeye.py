@@ -9,7 +9,7 @@ import numpy as np
 
 from camcal import files
 from camcal.arrays import Array
-from camcal.calibrate.known_cameras import KnownBoard, KnownCamera, estimate_known, prior_of, wide_prior_of
+from camcal.calibrate.known_cameras import KnownBoard, KnownCamera, estimate_known, freed, prior_of, wide_prior_of
 from camcal.calibrate.robot.estimator import RobotEstimate, estimate_robot
 from camcal.calibrate.robot.problem import RobotPoses
 from camcal.calibrate.robot.start import closed_form
@@ -230,7 +230,8 @@ def _known(
         if own:
             places, views = zip(*own, strict=True)
             sigma = 0.0 if entry.noise is None else entry.noise.sigma_px
-            known.append(KnownCamera(entry.camera, sigma, Observations.of(views), np.array(places)))
+            lens = freed(entry.camera) if free else entry.camera
+            known.append(KnownCamera(lens, sigma, Observations.of(views), np.array(places)))
             poses.append(Pose.identity() if given.poses is None else given.poses[name])
     entry = next(iter(given.cameras.values()))
     used = float(entry.quality.get("images_used") or provenance.image_counts(file.provenance)[0] or inf)

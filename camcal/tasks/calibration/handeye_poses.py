@@ -203,13 +203,13 @@ def read_poses(options: HandEyeOptions, rows: robot_poses.RobotRows, seen: SeenB
     others = read_robot(everything, camera, tuple(UNITS.values()), (False, True), in_hand) if everything else ()
     for said, names in _mistakes(options, best, others):
         raise InvalidInput(f"{said}: {names}", where=where)
-    shift = shift_of(everything, camera) if rows.names is None and motion is None else 0
-    if shift:
-        pair = f"image 1 belongs to pose {1 + shift}" if shift > 0 else f"image {1 - shift} belongs to pose 1"
-        raise InvalidInput(
-            f"the poses fit the images once they are shifted by {abs(shift)}: {pair}; one of them is missing",
-            where=where,
-        )
+    if motion is None and (shift := shift_of(everything, camera)):
+        image, pose = (1, 1 + shift) if shift > 0 else (1 - shift, 1)
+        text = f"the poses have the names of other images: that of image {pose} belongs to image {image}"
+        if rows.names is None:
+            pair = f"image {image} belongs to pose {pose}; one of them is missing"
+            text = f"the poses fit the images once they are shifted by {abs(shift)}: {pair}"
+        raise InvalidInput(text, where=where)
     if (first := moved_from(best.fit)) is not None:
         what = "the camera" if options.eye_to_hand else "the board"
         text = f"from pose {first + 1} on all are off: {what} has been moved, or has slipped in its mount"
