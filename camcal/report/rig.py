@@ -15,6 +15,7 @@ from camcal.geometry.frame_graph import Loop
 from camcal.geometry.pose import NamedTransform, Pose
 from camcal.quality.rig_geometry import PairGeometry, baseline, rotation_angle
 from camcal.report.table import Column, number_text, value_and_std, values_and_stds
+from camcal.report.times import time_lines
 
 _PLACES = 6  # of metres, degrees and quaternions of no known uncertainty
 _QUATERNION = ("qw", "qx", "qy", "qz")
@@ -182,6 +183,7 @@ def lines(calibration: RigCalibration) -> Iterator[str]:
     for name, (scale, std) in calibration.scales.items():
         value, spread = value_and_std(scale, std)
         yield f"Board{name and f' {name}'}: {value} ± {spread} times its nominal size, by the measured distances"
+    yield from time_lines(calibration.times)
     for name, why in calibration.unlinked.items():
         yield f"not linked: {name}: {why}"
 

@@ -9,7 +9,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from timed_scenes import BOARD, LENS, Clocked, by_hand, rotations
+from timed_scenes import BOARD, LENS, Clocked, Swing, by_hand, rotations
 
 from camcal.calibrate.intrinsics import Options, compare_models
 from camcal.calibrate.problem import POSE
@@ -18,6 +18,7 @@ from camcal.calibrate.timing.problem import TimedCorners, TimeProblem, TimeState
 from camcal.calibrate.timing.spline import Knots, Motion, motion_through
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.geometry import rotation as so3
+from camcal.geometry.pose import Pose
 from camcal.solve.chains import WIDTH, ChainEquations, ChainFactors
 from camcal.solve.least_squares import assemble
 from camcal.solve.steps import NormalEquations, Step
@@ -219,3 +220,66 @@ def test_two_images_of_one_time_are_invalid_input():
     views[7] = replace(views[7], time=views[6].time)
     with pytest.raises(InvalidInput, match="has the time of another image"):
         time_cameras({"": TimedCamera(lens, views)}, offsets=False, shutter=True)
+
+
+RIGHT = {"turn": (0.02, -0.2, 0.01), "place": (0.02, 0.01, 0.05)}
+
+
+def two_cameras(motion, frames, *, seed=0, dropped=0.05, **right):
+    """Return a left and a right camera before one motion, each with a brief calibration of its own."""
+    rng = np.random.default_rng(seed)
+    cameras = {"left": Clocked(), "right": Clocked(**RIGHT | right)}
+    views = {name: own.views(motion, frames, rng, 0.1, dropped, name) for name, own in cameras.items()}
+    return {name: TimedCamera(lens_of(own), own, as_designed=True) for name, own in views.items()}
+
+
+@pytest.mark.parametrize("frames_apart", [-30.4, 0.3, 29.7])
+def test_an_offset_of_many_frames_is_found_with_dropped_frames(frames_apart):
+    offset = frames_apart / 30
+    cameras = two_cameras(by_hand(np.random.default_rng(1)), 110, offset=offset)
+    times = time_cameras(cameras, offsets=True, shutter=False)
+    own = times.cameras["right"]
+    assert abs(own.offset - offset) < 4 * own.offset_std
+    assert own.offset_std < 1e-3 / 30
+    assert times.cameras["left"].offset_std == 0
+    assert not times.warnings
+
+
+def test_several_offsets_fit_a_motion_that_repeats_itself():
+    rng = np.random.default_rng(4)
+    rates = np.full((6, 1), 2 * np.pi)  # one a second
+    motion = Swing(np.full((6, 1), 0.05) * np.array([[1], [1], [1], [6], [6], [6]]), rates, rng.uniform(0, 6, (6, 1)))
+    with pytest.raises(InsufficientData) as caught:
+        time_cameras(two_cameras(motion, 150, offset=0.2), offsets=True, shutter=False)
+    assert caught.value.failures[0].code == "several_time_offsets"
+
+
+def test_cameras_that_see_other_motions_have_none_in_common():
+    one = two_cameras(by_hand(np.random.default_rng(1)), 90)
+    far = [replace(view, time=view.time + 1000) for view in one["right"].views]
+    with pytest.raises(InsufficientData) as caught:
+        time_cameras({"left": one["left"], "right": replace(one["right"], views=far)}, offsets=False, shutter=True)
+    assert caught.value.failures[0].code == "no_common_motion"
+
+
+def test_an_even_motion_in_one_direction_does_not_tell_the_offset():
+    """Its poses are the true ones: of such views alone no lens would be accepted."""
+    rng = np.random.default_rng(6)
+    even = by_hand(rng, 0.02, 1e-5, sweep=0)
+    even.amplitudes[:3], even.amplitudes[0, 0] = 0, 40.0
+    even.rates[0, 0], even.phases[0, 0] = 1e-3, -2.5e-3  # 40 mm/s along x
+    centre, cameras = BOARD.points().mean(axis=0), {}
+    for name, own in {"left": Clocked(), "right": Clocked(**RIGHT)}.items():
+        views = own.views(even, 150, rng, name=name)
+        lens = lens_of(own.views(by_hand(rng), 40, rng))
+        turned, moved = even.at(np.array([view.time for view in views]))
+        [turn] = rotations(np.array([own.turn], float))
+        poses = [Pose(turn @ r, turn @ (t - r @ centre) + own.place) for r, t in zip(turned, moved, strict=True)]
+        records = [
+            replace(lens.views[0], image=view.image, camera_T_board=pose)
+            for view, pose in zip(views, poses, strict=True)
+        ]
+        cameras[name] = TimedCamera(replace(lens, views=tuple(records)), views, as_designed=True)
+    times = time_cameras(cameras, offsets=True, shutter=False)
+    assert {warning.code for warning in times.warnings} == {"undetermined_time_offset"}
+    assert "to and fro" in times.warnings[0].text

@@ -125,6 +125,7 @@ def test_the_json_document(run, table, tmp_path):
         "scales",
         "epipolar_rms_px",
         "motion",
+        "times",
         "unlinked",
         "matched_by",
         "largest_time_difference_s",

@@ -2,6 +2,7 @@
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,6 +18,9 @@ from camcal.geometry.pose import Pose
 from camcal.messages import Message
 from camcal.records import Brief
 from camcal.targets.detection import BoardDetection
+
+if TYPE_CHECKING:
+    from camcal.calibrate.timing.record import TimeCalibration
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,11 +123,11 @@ class RigCalibration(Brief):
     calibrations: by the names of cameras, in their order; lens, views, residuals of each. poses: camera_T_first of the
     cameras that could be linked, the first of them at the identity. names: of the parameters of `covariance` (N, N):
     left.fx … of the lenses, then right_T_left.tx … .rz of the transforms (m and rad; see Pose.retract).
-    motion: None where the cameras exposed together. unlinked: cameras that no capture links to the first one, and
-    why. epipolar_rms_px: of the corners that two cameras saw, None without any; epipolar_by_capture: (C,) that of each
-    of `captures`, NaN without any. boards: poses of boards in the frame of the first one of their body, by the names
-    of transforms, such as a_T_b. links: what links pairs of cameras. scales: of boards, where distances tell them, by
-    their names (empty for a single one): factor and standard deviation.
+    motion: None where the cameras exposed together. times: of their images, None unless estimated. unlinked: cameras
+    that no capture links to the first one, and why. epipolar_rms_px: of the corners that two cameras saw, None without
+    any; epipolar_by_capture: (C,) that of each of `captures`, NaN without any. boards: poses of boards in the frame of
+    the first one of their body, by the names of transforms, such as a_T_b. links: what links pairs of cameras. scales:
+    of boards, where distances tell them, by their names (empty for a single one): factor and standard deviation.
     """
 
     calibrations: Mapping[str, Calibration]
@@ -132,6 +136,7 @@ class RigCalibration(Brief):
     covariance: FloatArray
     captures: tuple[str, ...]
     motion: ExposureMotion | None = None
+    times: "TimeCalibration | None" = None
     unlinked: Mapping[str, str] = field(default_factory=dict)
     epipolar_rms_px: float | None = None
     epipolar_by_capture: FloatArray = field(default_factory=lambda: np.zeros(0))

@@ -73,13 +73,6 @@ ImageSize = Annotated[
     tuple[int, int] | None,
     Option("Image size for .vnl files, which do not contain it.", metavar="WxH", group=INPUT, type=SIZE),
 ]
-RollingShutter = Annotated[
-    bool,
-    Option(
-        "Estimate the readout time of a rolling shutter from the motion of the board: images need times; all frames of "
-        "videos are used."
-    ),
-]
 
 
 @dataclass(frozen=True)
@@ -198,6 +191,13 @@ class CalibrationOptions(OptionsRecord):
             "are images."
         ),
     ] = None
+    rolling_shutter: Annotated[
+        bool,
+        Option(
+            "Estimate the readout time of a rolling shutter from the motion of the board: images need times; all "
+            "frames of videos are used."
+        ),
+    ] = False
     mixed_sizes: MixedSizes = False
     require: Annotated[
         str | None,
@@ -268,7 +268,6 @@ class CalibrateOptions(CalibrationOptions):
         Option("Camera file with the initial guess; FILE#NAME for one of several.", metavar="CAMERA", group=LENS),
     ] = None
     name: Annotated[str, Option("Name of the camera in the file.", metavar="NAME", group=OUTPUT)] = "camera"
-    rolling_shutter: RollingShutter = False
 
     def __post_init__(self) -> None:
         super().__post_init__()

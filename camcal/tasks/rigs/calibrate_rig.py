@@ -2,8 +2,9 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from camcal import messages
 from camcal.calibrate.fit import ShapeOptions
@@ -20,6 +21,7 @@ from camcal.quality.assess import assess
 from camcal.quality.projection_uncertainty import too_uncertain
 from camcal.report.calibration import as_data, candidates_data, uncertainty_data
 from camcal.report.rig import motion_data, scales_data, transform_data
+from camcal.report.times import times_data
 from camcal.run.journal import journal_beside
 from camcal.run.outputs import writes
 from camcal.targets.board import Board
@@ -30,7 +32,7 @@ from camcal.tasks.calibration.camera_result import RefinementSummary
 from camcal.tasks.calibration.images_again import refine_corners
 from camcal.tasks.figure_files import figure_data, write_figures
 from camcal.tasks.rigs.options import PRIOR, RigSettings, RigTaskOptions, StereoCalibrateOptions
-from camcal.tasks.rigs.rig_boards import bodies_of, measured_of
+from camcal.tasks.rigs.rig_boards import bodies_of, measured_of, require_size
 from camcal.tasks.rigs.rig_lenses import (
     GivenLens,
     RigModels,
@@ -42,7 +44,7 @@ from camcal.tasks.rigs.rig_lenses import (
     starting,
 )
 from camcal.tasks.rigs.rig_result import CameraResult, RigReport, rig_file
-from camcal.tasks.rigs.rig_views import RigViews, require_size, rig_views, with_circles
+from camcal.tasks.rigs.rig_views import RigViews, rig_views, with_circles
 
 
 @writes
@@ -76,12 +78,20 @@ def calibrated(
         return _calibrate(look(), settings, command, progress)
 
 
+class _Solution(NamedTuple):
+    """The captures that a rig was calibrated from, the lens models, and the rig."""
+
+    views: RigViews
+    models: RigModels
+    calibration: RigCalibration
+
+
 def _calibrate(seen: RigViews, settings: RigSettings, command: Sequence[str], progress: Progress) -> RigReport:
     require_size(seen.board)
     names = seen.captures.cameras
-    bodies, measured = bodies_of(settings, seen.board), measured_of(settings, seen.board)
-    if isinstance(seen.board, BoardSet) and settings.motion:
-        raise InvalidInput("--motion is of one board: leave it out with several")
+    if isinstance(seen.board, BoardSet) and (settings.motion or settings.timed):
+        wrong = "--motion" if settings.motion else "--time-offset" if settings.time_offset else "--rolling-shutter"
+        raise InvalidInput(f"{wrong} is of one board: leave it out with several")
     given = given_lenses(settings, names, progress)
     require_sizes(given, seen.captures)
     if settings.lenses == PRIOR:
@@ -95,25 +105,20 @@ def _calibrate(seen: RigViews, settings: RigSettings, command: Sequence[str], pr
     refinement: RefinementSummary | None = None
     found: tuple[Message, ...] = ()
 
-    def solve(views: RigViews) -> tuple[RigModels, RigCalibration]:
-        with stage(progress, "choosing lens models"):
-            models = rig_models(views.captures, views.board, settings, given, shape, circles)
-        with stage(progress, "solving"):
-            how = replace(_solver_options(settings, given, shape, models), bodies=bodies, measured=measured)
-            return models, calibrate_rig(views.captures, views.board, how)
-
+    solve = partial(_solve, settings=settings, given=given, shape=shape, circles=circles, progress=progress)
     try:
         if refined:
             with stage(progress, "solving briefly"):
                 lenses = brief_lenses(seen.captures, seen.board, settings, shape, circles)
-            seen, (models, calibration), refinement, found = _refine(seen, lenses, solve, settings, progress)
+            seen, solution, refinement, found = _refine(seen, lenses, solve, settings, progress)
         else:
-            models, calibration = solve(seen)
+            solution = solve(seen)
     except (InsufficientData, NotConverged) as error:
         _write_refusal(seen, settings, command, error, progress)
         raise
     if refined and settings.save_detections:
         detections.write(settings.save_detections, seen.detections())
+    seen, models, calibration = solution
     results = {
         name: CameraResult(assess(own, circles.get(name), models.candidates_of(name)), circles.get(name))
         for name, own in calibration.calibrations.items()
@@ -141,6 +146,35 @@ def _calibrate(seen: RigViews, settings: RigSettings, command: Sequence[str], pr
 
         write_rig(settings.report, report, settings, command)
     return report
+
+
+def _solve(
+    views: RigViews,
+    settings: RigSettings,
+    given: Mapping[str, GivenLens],
+    shape: ShapeOptions,
+    circles: Mapping[str, ImageCircle],
+    progress: Progress,
+) -> _Solution:
+    """Return the rig, from views as of one moment where their times are asked for."""
+    times = None
+    if settings.timed:
+        from camcal.tasks.rigs.rig_times import synchronised
+
+        lenses = brief_lenses(views.captures, views.board, settings, shape, circles)
+        with stage(progress, "times"):
+            views, times = synchronised(views, lenses, settings)
+    with stage(progress, "choosing lens models"):
+        models = rig_models(views.captures, views.board, settings, given, shape, circles)
+    with stage(progress, "solving"):
+        bodies, measured = bodies_of(settings, views.board), measured_of(settings, views.board)
+        how = replace(_solver_options(settings, given, shape, models), bodies=bodies, measured=measured)
+        calibration = calibrate_rig(views.captures, views.board, how)
+    if times is not None:
+        from camcal.tasks.rigs.rig_times import with_times
+
+        calibration = with_times(calibration, times)
+    return _Solution(views, models, calibration)
 
 
 def _write_refusal(
@@ -205,10 +239,10 @@ def _solver_options(
 def _refine(
     seen: RigViews,
     lenses: Mapping[str, Calibration],
-    solve: Callable[[RigViews], tuple[RigModels, RigCalibration]],
+    solve: Callable[[RigViews], _Solution],
     settings: RigSettings,
     progress: Progress,
-) -> tuple[RigViews, tuple[RigModels, RigCalibration], RefinementSummary | None, tuple[Message, ...]]:
+) -> tuple[RigViews, _Solution, RefinementSummary | None, tuple[Message, ...]]:
     """Return the views with their corners measured where calibrations expect them, what they lead to, what changed, and
     warnings. Views that a calibration cannot be made from then are measured as their images alone have them.
 
@@ -220,7 +254,8 @@ def _refine(
     try:
         solution = solve(better)
         if others:
-            rest = {name: solution[1].calibrations[name] for name in others & set(solution[1].calibrations)}
+            found = solution.calibration.calibrations
+            rest = {name: found[name] for name in others & set(found)}
             better, more = _measure(better, rest, settings, progress)
             summary = RefinementSummary(summary.added + more.added, summary.removed + more.removed)
             solution = solve(better)
@@ -292,6 +327,7 @@ def document(report: RigReport, settings: RigSettings) -> dict[str, Any]:
         "scales": scales_data(calibration.scales),
         "epipolar_rms_px": calibration.epipolar_rms_px,
         "motion": motion_data(calibration.motion),
+        "times": times_data(calibration.times),
         "unlinked": dict(calibration.unlinked),
         "matched_by": report.views.matched.by,
         "largest_time_difference_s": report.views.matched.largest,

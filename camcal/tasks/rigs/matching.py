@@ -28,8 +28,11 @@ from camcal.tasks.calibration.video_frames import (
     require_names,
     settled,
     sharpest,
+    survey,
     surveyed,
 )
+from camcal.tasks.poses.frame_times import frame_times
+from camcal.tasks.poses.smooth_options import Timing
 from camcal.tasks.rigs.camera_inputs import CameraInputs, varying
 from camcal.tasks.rigs.options import AUTO, INDEX, NAME, TIME
 
@@ -240,10 +243,7 @@ def survey_rig(
     tolerance: s, None for half of the shortest frame interval. Raises InvalidInput for several videos of a camera, or
     images beside them; FileError where no frames belong together.
     """
-    for camera in cameras:
-        if camera.images or camera.tables or len(camera.videos) != 1:
-            raise InvalidInput(f"camera {camera.name!r}: with videos, each camera has one and nothing else")
-    require_names([camera.videos[0] for camera in cameras])
+    require_names([videos_alone(camera) for camera in cameras])
     every = replace(options, every=1)
     found = {camera.name: surveyed(camera.videos[0], every, progress) for camera in cameras}
     times = _times(found)
@@ -259,6 +259,36 @@ def survey_rig(
         for column, (name, each) in enumerate(found.items())
     }
     return RigVideos(videos, instants, times, limit)
+
+
+def videos_alone(camera: CameraInputs) -> Path:
+    """Return the video of a camera; raises InvalidInput unless it has one and nothing else."""
+    if camera.images or camera.tables or len(camera.videos) != 1:
+        raise InvalidInput(f"camera {camera.name!r}: with videos, each camera has one and nothing else")
+    return camera.videos[0]
+
+
+def every_frame(cameras: Sequence[CameraInputs], options: FrameOptions, progress: Progress) -> dict[str, Video]:
+    """Return the videos of cameras, one each, with all of their frames to be searched."""
+    paths = {camera.name: videos_alone(camera) for camera in cameras if camera.videos}
+    require_names(list(paths.values()))
+    return {name: survey(path, replace(options, whole=True), progress) for name, path in paths.items()}
+
+
+def each_alone(views: Views) -> Matched:
+    """Return every view as a capture, until the times of the cameras are known."""
+    names = tuple(views)
+    own = [(name, view) for name in names for view in views[name]]
+    rows = tuple(tuple(view if name == each else None for each in names) for name, view in own)
+    return Matched(Captures(names, tuple(f"{name}/{place}" for place, (name, _) in enumerate(own)), rows), TIME)
+
+
+def with_own_times(
+    views: Sequence[BoardDetection], videos: Sequence[Path], timing: Timing, progress: Progress
+) -> list[BoardDetection]:
+    """Return views with their times; raises InvalidInput where nothing tells them."""
+    times = frame_times([view.image for view in views], videos, timing, progress)
+    return [replace(view, time=time) for view, time in zip(views, times.tolist(), strict=True)]
 
 
 def _times(found: Mapping[str, SurveyedVideo]) -> dict[str, Array]:

@@ -161,6 +161,14 @@ class RigSettings(CalibrationOptions):
             group=METHOD,
         ),
     ] = None
+    time_offset: Annotated[
+        bool,
+        Option(
+            "Estimate the time offset and the clock rate of every camera against the first from the motion of the "
+            "board: images need times; all frames of videos are used.",
+            group=METHOD,
+        ),
+    ] = False
 
     def __post_init__(self) -> None:
         if self.board is not None and not isinstance(self.board, tuple):
@@ -168,8 +176,15 @@ class RigSettings(CalibrationOptions):
         super().__post_init__()
         if self.lenses != JOINT and not self.guess:
             raise InvalidInput(f"--lenses {self.lenses} needs the lenses: give --guess FILE, or --guess NAME=FILE")
+        if self.timed and self.match not in (AUTO, TIME):
+            raise InvalidInput(f"--time-offset and --rolling-shutter match by time, not by {self.match}")
         if self.tolerance is not None and self.match in (NAME, INDEX):
             raise InvalidInput(f"--time-tolerance goes with --match {TIME}, not with --match {self.match}")
+
+    @property
+    def timed(self) -> bool:
+        """Whether images have times of their own, and are no captures yet."""
+        return self.time_offset or self.rolling_shutter
 
 
 DEFAULTS = RigSettings()

@@ -140,3 +140,12 @@ def _metres(text: str, whole: str) -> float:
             except ValueError:
                 break
     raise InvalidInput(f"--distance {whole}: {text!r} is not a length with its unit, {', '.join(METRES)}")
+
+
+def require_size(board: Board) -> None:
+    """Raise InvalidInput for a board without a metric size: distances between cameras would have no scale."""
+    if board.unit != "m":
+        raise InvalidInput(
+            f"a {board.words} of unknown size gives no distances between cameras: give it in --board, such as "
+            "chessboard:9x6:25mm"
+        )

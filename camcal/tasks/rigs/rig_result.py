@@ -16,6 +16,7 @@ from camcal.quality.assess import Assessment
 from camcal.quality.projection_uncertainty import ProjectionUncertainty
 from camcal.records import Brief
 from camcal.report.rig import motion_data, scales_data
+from camcal.report.times import time_data
 from camcal.targets.board_set import surfaces_of
 from camcal.tasks.calibration.camera_result import RefinementSummary, camera_entry, image_record, is_shaped
 from camcal.tasks.rigs.rig_views import RigViews
@@ -81,6 +82,7 @@ def rig_file(calibration: RigCalibration, results: Mapping[str, CameraResult], c
         # the shift of boards that several cameras see is another one than those of one camera say
         entries[name] = replace(
             entry,
+            timing={} if calibration.times is None else time_data(calibration.times.cameras[name]),
             boards=entry.boards and replace(entry.boards, shift=None),
             verdict=CalibrationVerdict(
                 verdict.trustworthy and not failures, verdict.reasons + failures, None if failures else verdict.region

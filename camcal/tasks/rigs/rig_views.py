@@ -23,11 +23,19 @@ from camcal.tasks.calibration.mixed_sizes import same_size, usual_size
 from camcal.tasks.calibration.options import DetectOptions
 from camcal.tasks.calibration.video_frames import FrameRecord, Video, summary
 from camcal.tasks.calibration.which_board import board_warnings, pattern_lines
-from camcal.tasks.poses.frame_times import frame_times
 from camcal.tasks.rigs.camera_inputs import SYNTAX, CameraInputs, cameras_of, split_by_name
-from camcal.tasks.rigs.matching import Matched, matched, settled_together, survey_rig, unmatched_words
+from camcal.tasks.rigs.matching import (
+    Matched,
+    each_alone,
+    every_frame,
+    matched,
+    settled_together,
+    survey_rig,
+    unmatched_words,
+    with_own_times,
+)
 from camcal.tasks.rigs.options import AUTO, TIME, RigSettings
-from camcal.tasks.rigs.rig_boards import asked_board, require_other_names
+from camcal.tasks.rigs.rig_boards import asked_board, require_other_names, require_size
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,15 +101,6 @@ def rig_views(inputs: Sequence[str], settings: RigSettings, progress: Progress, 
     return replace(found, lines=lines + found.lines)
 
 
-def require_size(board: Board) -> None:
-    """Raise InvalidInput for a board without a metric size: distances between cameras would have no scale."""
-    if board.unit != "m":
-        raise InvalidInput(
-            f"a {board.words} of unknown size gives no distances between cameras: give it in --board, such as "
-            "chessboard:9x6:25mm"
-        )
-
-
 def captured(
     board: Board, views: Mapping[str, Sequence[BoardDetection]], settings: RigSettings, progress: Progress
 ) -> RigViews:
@@ -115,7 +114,7 @@ def captured(
             if seeing
             else "no image shows the board"
         )
-    result = matched(seeing, settings.match, settings.tolerance)
+    result = each_alone(seeing) if settings.timed else matched(seeing, settings.match, settings.tolerance)
     warnings = [
         Message("camera_without_board", f"camera {name}: none of {len(named[name])} images shows the board: left out")
         for name in blind
@@ -124,7 +123,7 @@ def captured(
         values = {"images": tuple(result.unmatched)}
         warnings.append(Message("unmatched_images", unmatched_words(result.unmatched), values))
     warn_of(warnings, progress)
-    return RigViews(board, result, warnings=tuple(warnings), lines=(result.line,))
+    return RigViews(board, result, warnings=tuple(warnings), lines=() if settings.timed else (result.line,))
 
 
 def captured_boards(
@@ -221,16 +220,17 @@ def _from_media(cameras: Sequence[CameraInputs], settings: RigSettings, progress
     require_findable(asked, partial=settings.parts)
     require_colours(asked, settings.reading)
     videos = None
-    if any(camera.videos for camera in cameras):
+    every = every_frame(cameras, settings.frames, progress) if settings.timed else {}
+    if any(camera.videos for camera in cameras) and not settings.timed:
         videos = survey_rig(cameras, settings.frames, settings.tolerance, progress)
     images = [path for camera in cameras for path in camera.images]
     locate = is_located(settings.refine, settings.reading, mixed_sizes=settings.mixed_sizes)
-    searched = list(videos.videos.values()) if videos else []
+    searched = list(videos.videos.values() if videos else every.values())
     found = search_board(asked, images, searched, options, progress, locate=locate)
     if found.nothing:
         raise found.nothing
     by_name = {view.image: view for view in found.views}
-    taken = _of_images(cameras, by_name, settings, progress)
+    taken = _of_images(cameras, by_name, every, settings, progress)
     records: tuple[FrameRecord, ...] = ()
     if videos is not None:
         own = {
@@ -256,8 +256,9 @@ def _from_media(cameras: Sequence[CameraInputs], settings: RigSettings, progress
         *(warning for each in sized.values() for warning in each.warnings),
     )
     warn_of(warnings, progress)
-    in_videos = tuple(videos.videos.values()) if videos else ()
-    lines = (*pattern_lines(found.board, asked, found.views), *(summary(video, records) for video in in_videos))
+    in_videos = tuple(videos.videos.values() if videos else every.values())
+    told = () if settings.timed else tuple(summary(video, records) for video in in_videos)
+    lines = (*pattern_lines(found.board, asked, found.views), *told)
     return replace(
         result,
         warnings=warnings + result.warnings,
@@ -296,7 +297,7 @@ def _from_images_of_boards(
         if found.nothing:
             raise type(found.nothing)(f"board {name}: {found.nothing.message}") from found.nothing
         members[name] = found.board
-        taken = _of_images(cameras, {view.image: view for view in found.views}, settings, progress)
+        taken = _of_images(cameras, {view.image: view for view in found.views}, {}, settings, progress)
         views[name] = {}
         for camera, own in taken.items():
             sized = same_size(own, usual_size(own), found.board, mixed=settings.mixed_sizes)
@@ -310,20 +311,28 @@ def _from_images_of_boards(
 
 
 def _of_images(
-    cameras: Sequence[CameraInputs], by_name: Mapping[str, BoardDetection], settings: RigSettings, progress: Progress
+    cameras: Sequence[CameraInputs],
+    by_name: Mapping[str, BoardDetection],
+    videos: Mapping[str, Video],
+    settings: RigSettings,
+    progress: Progress,
 ) -> dict[str, list[BoardDetection]]:
-    """Return the views of the images of every camera, with their times where these are to be used."""
+    """Return the views of the images of every camera and of frames of videos, with their times where these are to be
+    used.
+    """
     views = {
         camera.name: [by_name[name] for path in camera.images if (name := path.as_posix()) in by_name]
         for camera in cameras
     }
+    views |= {name: [by_name[each] for each in video.names if each in by_name] for name, video in videos.items()}
     timing = settings.timing
-    if (timing.source is None and timing.fps is None) or settings.match not in (AUTO, TIME):
+    told = timing.source is not None or timing.fps is not None
+    if not settings.timed and not (told and settings.match in (AUTO, TIME)):
         return views
-    for name, own in views.items():
-        times = frame_times([view.image for view in own], [], timing, progress)
-        views[name] = [replace(view, time=time) for view, time in zip(own, times.tolist(), strict=True)]
-    return views
+    return {
+        name: with_own_times(own, [videos[name].path] if name in videos else [], timing, progress)
+        for name, own in views.items()
+    }
 
 
 def _from_tables(cameras: Sequence[CameraInputs], settings: RigSettings, progress: Progress) -> RigViews:
@@ -354,6 +363,8 @@ def _from_tables(cameras: Sequence[CameraInputs], settings: RigSettings, progres
         own = _by_camera(table, camera)
         views.update(own)
         circles |= {name: circle for name in own if (circle := table.circles.get(name, table.circles.get("")))}
+    if settings.timed:
+        views = {name: with_own_times(own, [], settings.timing, progress) for name, own in views.items()}
     result = captured_table(known.pop(), views, settings, progress)
     warnings = tuple(warning for each in found.values() for warning in each.warnings)
     return replace(result, circles=circles, warnings=warnings + result.warnings, table=True)
