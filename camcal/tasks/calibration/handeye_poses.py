@@ -204,12 +204,7 @@ def read_poses(options: HandEyeOptions, rows: robot_poses.RobotRows, seen: SeenB
     for said, names in _mistakes(options, best, others):
         raise InvalidInput(f"{said}: {names}", where=where)
     if motion is None and (shift := shift_of(everything, camera)):
-        image, pose = (1, 1 + shift) if shift > 0 else (1 - shift, 1)
-        text = f"the poses have the names of other images: that of image {pose} belongs to image {image}"
-        if rows.names is None:
-            pair = f"image {image} belongs to pose {pose}; one of them is missing"
-            text = f"the poses fit the images once they are shifted by {abs(shift)}: {pair}"
-        raise InvalidInput(text, where=where)
+        raise InvalidInput(_shift_words(shift, named=rows.names is not None), where=where)
     if (first := moved_from(best.fit)) is not None:
         what = "the camera" if options.eye_to_hand else "the board"
         text = f"from pose {first + 1} on all are off: {what} has been moved, or has slipped in its mount"
@@ -223,6 +218,15 @@ def read_poses(options: HandEyeOptions, rows: robot_poses.RobotRows, seen: SeenB
     known = replace(motion.poses, translations=motion.poses.translations * best.scale)
     motion = replace(motion, poses=known.inverse() if best.inverted else known)
     return ReadPoses(best, motion, np.asarray(seen.times), delay, warnings)
+
+
+def _shift_words(shift: int, *, named: bool) -> str:
+    """Return by how much poses are shifted against the images, or their names are."""
+    image, pose = (1, 1 + shift) if shift > 0 else (1 - shift, 1)
+    if named:
+        return f"the poses have the names of other images: that of image {pose} belongs to image {image}"
+    pair = f"image {image} belongs to pose {pose}; one of them is missing"
+    return f"the poses fit the images once they are shifted by {abs(shift)}: {pair}"
 
 
 def _mistakes(options: HandEyeOptions, best: Reading, others: Sequence[Reading]) -> list[tuple[str, str]]:
