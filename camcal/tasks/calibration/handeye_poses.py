@@ -1,6 +1,6 @@
 """The poses of `camcal handeye`: which of the robot's belong to what a camera saw, and how they are to be read."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -201,9 +201,14 @@ def read_poses(options: HandEyeOptions, rows: robot_poses.RobotRows, seen: SeenB
     if (axis := undetermined_axis(best.poses)) is not None:
         raise InsufficientData(_little_rotation(axis))
     others = read_robot(everything, camera, tuple(UNITS.values()), (False, True), in_hand) if everything else ()
-    shift = 0 if motion is not None else shift_of(everything, camera)
-    for text in _mistakes(options, best, others, shift, named=rows.names is not None):
-        raise InvalidInput(text, where=where)
+    for said, names in _mistakes(options, best, others):
+        raise InvalidInput(f"{said}: {names}", where=where)
+    if motion is None and (shift := shift_of(everything, camera)):
+        raise InvalidInput(_shift_words(shift, named=rows.names is not None), where=where)
+    if (first := moved_from(best.fit)) is not None:
+        what = "the camera" if options.eye_to_hand else "the board"
+        text = f"from pose {first + 1} on all are off: {what} has been moved, or has slipped in its mount"
+        raise InvalidInput(f"{text}; leave these images out", where=where)
     warnings: tuple[Message, ...] = ()
     if count := duplicates(best.poses):
         text = f"{counted(count, 'pose')} of the robot repeated: the hand did not move, which shows nothing new"
@@ -215,30 +220,27 @@ def read_poses(options: HandEyeOptions, rows: robot_poses.RobotRows, seen: SeenB
     return ReadPoses(best, motion, np.asarray(seen.times), delay, warnings)
 
 
-def _mistakes(
-    options: HandEyeOptions, best: Reading, others: Sequence[Reading], shift: int, *, named: bool
-) -> Iterator[str]:
-    """Yield what is wrong with poses that are read as they fit best, as they were said to be."""
-    if others and fits_better(best.fit, others[0].fit):
-        other, told = others[0], []
-        if options.robot_form is not None and other.words != best.words:
-            told.append(f"--robot-form {other.words}")
-        if options.robot_frames is not None and other.inverted != best.inverted:
-            told.append(f"--robot-frames {HAND_T_BASE if other.inverted else BASE_T_HAND}")
-        if options.robot_unit is not None and other.scale != best.scale:
-            told.append(f"--robot-unit {_unit_of(other.scale)}")
-        if told:
-            yield f"the poses fit the images as something else: give {' '.join(told)}"
-    if shift:
-        image, pose = (1, 1 + shift) if shift > 0 else (1 - shift, 1)
-        if named:
-            yield f"the poses have the names of other images: that of image {pose} belongs to image {image}"
-        pair = f"image {image} belongs to pose {pose}; one of them is missing"
-        yield f"the poses fit the images once they are shifted by {abs(shift)}: {pair}"
-    if (first := moved_from(best.fit)) is not None:
-        what = "the camera" if options.eye_to_hand else "the board"
-        text = f"from pose {first + 1} on all are off: {what} has been moved, or has slipped in its mount"
-        yield f"{text}; leave these images out"
+def _shift_words(shift: int, *, named: bool) -> str:
+    """Return by how much poses are shifted against the images, or their names are."""
+    image, pose = (1, 1 + shift) if shift > 0 else (1 - shift, 1)
+    if named:
+        return f"the poses have the names of other images: that of image {pose} belongs to image {image}"
+    pair = f"image {image} belongs to pose {pose}; one of them is missing"
+    return f"the poses fit the images once they are shifted by {abs(shift)}: {pair}"
+
+
+def _mistakes(options: HandEyeOptions, best: Reading, others: Sequence[Reading]) -> list[tuple[str, str]]:
+    """Return what was said of the poses, and what they rather are."""
+    if not others or not fits_better(best.fit, others[0].fit):
+        return []
+    other, told = others[0], []
+    if options.robot_form is not None and other.words != best.words:
+        told.append(f"--robot-form {other.words}")
+    if options.robot_frames is not None and other.inverted != best.inverted:
+        told.append(f"--robot-frames {HAND_T_BASE if other.inverted else BASE_T_HAND}")
+    if options.robot_unit is not None and other.scale != best.scale:
+        told.append(f"--robot-unit {_unit_of(other.scale)}")
+    return [("the poses fit the images as something else", f"give {' '.join(told)}")] if told else []
 
 
 def candidates_of(forms: Sequence[Form], numbers: Array) -> list[tuple[str, Poses]]:
