@@ -33,23 +33,20 @@ from collections import Counter
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 from camcal.calibrate.rigs.calibrate import calibrate_rig
 from camcal.calibrate.rigs.measured import KnownDistance, KnownRelation, Measured
 from camcal.calibrate.rigs.record import RigCalibration, RigOptions
 from camcal.cameras.catalogue import model_named
-from camcal.cameras.model import Camera
 from camcal.errors import CamcalError
 from camcal.formats import boards
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
-from camcal.simulate.render import Exposure, develop, evenly_lit, light
-from camcal.targets.board import Board
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
-from body_scenes import SIZE, BodyScene, captures_of, cube, transform, two_sides
+from body_pictures import picture, tagged_faces
+from body_scenes import BodyScene, captures_of, cube, transform, two_sides
 
 MODEL = model_named("opencv5")
 ENDS = (("a", 0, "a", 53), ("b", 0, "b", 39), ("a", 0, "b", 39))  # points between which distances are measured
@@ -201,9 +198,7 @@ def mistakes(runs: int) -> None:
 
 
 def rendered(moments: int) -> None:
-    tags = Board("aprilgrid", 3, 3, 0.0805, 0.07, "tag36h11")
-    faces = {f"f{face}": replace(tags, first_marker=9 * face) for face in range(6)}
-    scene = cube(0, moments, 4, faces)
+    scene = cube(0, moments, 4, tagged_faces(6))
     with tempfile.TemporaryDirectory() as folder:
         boards.write(Path(folder) / "cube.yaml", scene.together)
         seen = sum(picture(scene, name, moment, Path(folder)) for name in scene.cameras for moment in range(moments))
@@ -231,32 +226,6 @@ def rendered(moments: int) -> None:
         z = np.array([each.z for each in own])
         mm, degrees = max(each.mm for each in own), max(each.degrees for each in own)
         print(f"{what:10s} {len(own):6d} {np.sqrt(np.mean(z**2)):6.2f} {np.abs(z).max():8.2f} {mm:8.3f} {degrees:8.4f}")
-
-
-def picture(scene: BodyScene, name: str, moment: int, folder: Path) -> int:
-    """Write the image of a camera at a moment; return how many faces it shows."""
-    matrix, coefficients = scene.lenses[name]
-    lens = Camera(MODEL, SIZE, [matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *coefficients])
-    exposure, rng = Exposure(), np.random.default_rng([moment, int(name[1:]), 9])
-    image, count = np.full(SIZE[::-1], exposure.background), 0
-    for face, board in scene.boards.items():
-        pose = scene.pose_of(name, face, moment)
-        # the faces of a cube that are seen do not hide each other: each is drawn where its paper is
-        corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * 0.56 * np.array(board.extent)
-        paper = np.column_stack([corners + np.array(board.extent) / 2, np.zeros(4)])
-        middle = (pose[:3, :3] @ paper.mean(axis=0)) + pose[:3, 3]
-        if board.z_sign * pose[:3, 2] @ middle < 0.1 * np.linalg.norm(middle):
-            continue
-        outline = cv2.projectPoints(paper, pose[:3, :3], pose[:3, 3], matrix, coefficients)[0].reshape(-1, 2)
-        inside = ((outline > 0) & (outline < np.array(SIZE) - 1)).all()
-        drawn = evenly_lit(lens, board, Pose(pose[:3, :3], pose[:3, 3]), exposure)
-        mask = cv2.fillConvexPoly(np.zeros(SIZE[::-1], np.uint8), np.round(outline).astype(np.int32), 1)
-        image = np.where(mask > 0, drawn, image)
-        count += int(inside)
-    (folder / name).mkdir(exist_ok=True)
-    taken = develop(image * light(SIZE, exposure, rng.uniform(0, 2 * np.pi)), exposure, rng)
-    cv2.imwrite(str(folder / name / f"{moment:03d}.png"), taken)
-    return count
 
 
 def main() -> None:

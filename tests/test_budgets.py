@@ -41,7 +41,7 @@ LINES = {
     "solve": 1868,
     "stereo": 5069,
     "system": 281,
-    "targets": 7151,
+    "targets": 7153,
     "tasks": 25057,
     "urls": 99,
 }

@@ -7,9 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from body_scenes import BodyScene, captures_of, two_sides
+from body_pictures import picture, tagged_faces
+from body_scenes import BodyScene, captures_of, cube, two_sides
 
 from camcal.formats import boards, detections, native
+from camcal.geometry import rotation as so3
 from camcal.targets.board_set import BoardSet
 from camcal.targets.detection import Detections
 
@@ -185,3 +187,25 @@ def test_boards_of_a_table_that_are_seen_in_no_image_are_named(run, tmp_path, pa
     (tmp_path / "more.csv").write_text(text)
     code, line = refused(run, tmp_path / "more.csv", "-o", tmp_path / "rig.yaml", *QUICK)
     assert (code, line) == (4, "board c: no image of any camera shows it")
+
+
+@pytest.mark.slow
+def test_images_of_a_cube_with_tags_calibrate_cameras_and_faces(run, tmp_path):
+    scene = cube(1, 7, 2, tagged_faces(3))
+    for name in scene.cameras:
+        for moment in range(7):
+            picture(scene, name, moment, tmp_path)
+    boards.write(tmp_path / "cube.yaml", scene.together)
+    cameras = [f"{name}={tmp_path / name}" for name in scene.cameras]
+    command = ("rig", *cameras, "--board", tmp_path / "cube.yaml", "-o", tmp_path / "rig.yaml", *QUICK[:4], "--json")
+    code, out, _ = run(*command, "--save-detections", tmp_path / "corners.csv")
+    assert code == 0
+    transforms = json.loads(out)["transforms"]
+    assert list(transforms) == ["c1_T_c0", "f0_T_f1", "f0_T_f2"]
+    for name, found in transforms.items():
+        target, source = name.split("_T_")
+        truth = scene.relative("c1") if target == "c1" else np.linalg.inv(scene.on_body[target]) @ scene.on_body[source]
+        step = np.concatenate([np.array(found["t"]) - truth[:3, 3], so3.log(np.array(found["R"]) @ truth[:3, :3].T)])
+        # χ² of six numbers exceeds 24 in one of 2000 cases
+        assert step @ np.linalg.solve(np.array(found["covariance"]), step) < 24, name
+    assert {view.body for view in detections.read(tmp_path / "corners.csv").views if view.found} == {"f0", "f1", "f2"}

@@ -11,7 +11,7 @@ from camcal.errors import InvalidInput
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
 from camcal.targets.board import Board
-from camcal.targets.corners.cells import Cells
+from camcal.targets.corners.cells import Cells, sample_cells
 from camcal.targets.corners.measure import board_edges, seen_cells
 
 BOARD = Board("chessboard", 7, 6, 0.03)
@@ -95,3 +95,17 @@ def test_corners_that_the_lens_has_no_image_of_do_not_count_among_the_narrowest(
     cells = Cells(steps, np.zeros((3, 2)), np.ones((3, 2, 2)), np.ones((3, 2, 2)))
     assert cells.narrowest() == pytest.approx(12 / np.sqrt(17))  # the area over the longer side
     assert cells.take(np.array([1])).narrowest() == 20
+
+
+def test_a_cell_whose_corners_fell_on_one_place_measures_nothing_and_leaves_the_others_as_they_are():
+    gray = np.random.default_rng(1).uniform(0, 255, (60, 60))
+    steps = np.tile(np.array([[12.0, 1.0], [0.5, 11.0]]), (2, 1, 1))
+    fallen = steps.copy()
+    fallen[1, :, 1] = 0.0
+    ones = np.ones((2, 2, 2))
+    pixels = np.array([[20.0, 20.0], [40.0, 35.0]])
+    whole, found = (
+        sample_cells(gray, pixels, Cells(own, np.zeros((2, 2)), ones, ones), 1.0) for own in (steps, fallen)
+    )
+    assert found.used[0].sum() == whole.used[0].sum() > 20
+    assert np.isfinite(found.x).all()

@@ -194,7 +194,9 @@ class _Frames:
         limits = np.clip(np.minimum(_OWN * lengths[:, :, None], free), _LEAST_PX, longest_px)
         depth = cells.depth * height.min(axis=1)[:, None, None] - prints
         band = np.minimum(max(_BAND * blur_px, _LEAST_BAND_PX), _OWN * height[:, ::-1])
-        tangents = (cells.steps / np.maximum(lengths, 1e-9)[:, None]).swapaxes(1, 2)
+        # a cell whose corners fell on one place has no frame of its own: any will do, nothing is measured in it
+        tangents = np.where((lengths > 0)[:, None], cells.steps / np.maximum(lengths, 1e-9)[:, None], np.eye(2))
+        tangents = tangents.swapaxes(1, 2)
         return cls(
             corners,
             tangents,
