@@ -105,7 +105,7 @@ def no_turn(rng):
 
 
 def late(rng):
-    """A film and the poses of a moving arm, by clocks that differ; the pairs of the same stamps besides."""
+    """A video and the poses of a moving arm, by clocks that differ; the pairs of the same stamps besides."""
     times, stamps = np.sort(rng.uniform(2, 28, 60)), np.arange(0, 30, 0.02)
     camera = noises((seen_from(moving(time)) for time in times), CAMERA_NOISE, rng)
     robot = noises(map(moving, stamps), ROBOT_NOISE, rng)
@@ -206,7 +206,7 @@ def show_clean(count, rigs):
         folder = Path(name)
         lists = {
             "poses of the board, six forms, three units": (count, lambda: in_some_form(folder, rng)),
-            "a film and a moving arm": (rigs, lambda: film(folder, rng)),
+            "a video and a moving arm": (rigs, lambda: video(folder, rng)),
             "images of a rig": (rigs, lambda: ended(rig_files(folder, rng))),
         }
         for what, (times, make) in lists.items():
@@ -217,7 +217,7 @@ def show_clean(count, rigs):
             print(f"| {what} | {len(wrong)} of {times}{shown} |", flush=True)
 
 
-def film(folder, rng):
+def video(folder, rng):
     (robot, stamps), camera, _ = late(rng)
     return solved(folder, (robot, stamps - LATE), camera)
 

@@ -253,8 +253,8 @@ def test_squares_of_few_degrees_of_freedom_are_as_likely_as_those_of_six():
     from camcal.calibrate.robot.estimator import _as_of_six
 
     share = np.array([0.5, 0.9, 0.99, 0.9999])
-    for freedom in (1.0, 3.0, 6.0):
-        found = _as_of_six(chi2.ppf(share, freedom), np.full(4, freedom))
+    for dof in (1.0, 3.0, 6.0):
+        found = _as_of_six(chi2.ppf(share, dof), np.full(4, dof))
         np.testing.assert_allclose(found, chi2.ppf(share, 6), rtol=0.06)
 
 

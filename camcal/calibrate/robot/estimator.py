@@ -139,13 +139,13 @@ def _estimate(problem: RobotProblem, state: RobotState) -> RobotEstimate:
     )
 
 
-def _as_of_six(squares: Array, freedom: Array) -> Array:
+def _as_of_six(squares: Array, dof: Array) -> Array:
     """Return what is as likely of χ² with 6 degrees of freedom as squares (N,) of it with so many (N,).
 
     Source: Wilson & Hilferty, Proceedings of the National Academy of Sciences 17, 1931.
     """
-    spread, of_six = 2 / (9 * freedom), 2 / (9 * POSE)
-    deviations = (np.cbrt(squares / freedom) - 1 + spread) / np.sqrt(spread)
+    spread, of_six = 2 / (9 * dof), 2 / (9 * POSE)
+    deviations = (np.cbrt(squares / dof) - 1 + spread) / np.sqrt(spread)
     return np.asarray(POSE * np.maximum(1 - of_six + deviations * np.sqrt(of_six), 0.0) ** 3)
 
 

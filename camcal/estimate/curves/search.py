@@ -168,8 +168,8 @@ def search(curve: Curve, data: Data, start: Mapping[str, float], options: Search
         return Search(problem, searches.best(problem), searches.runs, None)
     # Huber's loss comes first, which has one minimum for straight models: one that ignores outliers needs to start
     # where they are known as such. Where sigma is unknown, the scale is that of the fit's own residuals.
-    first = _settle(problem, "huber", searches)
-    return first if options.loss == "huber" else _settle(first.problem, options.loss, searches)
+    first = _search_with(problem, "huber", searches)
+    return first if options.loss == "huber" else _search_with(first.problem, options.loss, searches)
 
 
 def _problem(curve: Curve, data: Data, start: Mapping[str, float], options: SearchOptions) -> CurveProblem:
@@ -248,7 +248,7 @@ class _Searches:
         return [first, *(start for start, equations in tried if equations and np.isfinite(equations.cost))]
 
 
-def _settle(problem: CurveProblem, name: str, searches: _Searches) -> Search:
+def _search_with(problem: CurveProblem, name: str, searches: _Searches) -> Search:
     """Return the fit with a loss whose scale is that of the residuals it leaves; its problem has the fitted values."""
     kind, tuning = LOSSES[name]
     for _ in range(_ROUNDS):

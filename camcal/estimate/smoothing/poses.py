@@ -200,7 +200,7 @@ def smooth_poses(measured: Trajectory, options: PosesOptions = PosesOptions()) -
     known = options.sigma is not None or measured.covariances is not None
     noises = _noise(problem, options, known)
     problem = problem.with_noise(*noises)
-    guess = _settle(problem, problem.first_guess(), _robust if options.robust else _likeliest)
+    guess = _relinearise(problem, problem.first_guess(), _robust if options.robust else _likeliest)
     means, covariances, fit = smooth_system(problem.system(guess), options.method, options.robust)
     return SmoothedPoses(
         **vars(fit),
@@ -220,7 +220,7 @@ def poses_at(measured: Trajectory, smoothed: SmoothedPoses, options: PosesOption
     problem = problem.with_noise(smoothed.q, (1.0, 1.0))
     start = PoseProblem.of(smoothed.trajectory, options.motion, None, stamps).first_guess()
     # By filter: stamps may lie so near each other that a batch would lose its digits.
-    guess = _settle(problem, start, lambda system: rts(system, kalman_filter(system))[0])
+    guess = _relinearise(problem, start, lambda system: rts(system, kalman_filter(system))[0])
     system = problem.system(guess)
     everything = _trajectory(measured, problem, guess, *rts(system, kalman_filter(system)))
     return everything.rows(np.searchsorted(everything.stamps, stamps))
@@ -240,7 +240,7 @@ def _noise(problem: PoseProblem, options: PosesOptions, known: bool) -> tuple[Pa
     start = problem.with_noise(
         (guesses[0].q, guesses[1].q), (1.0, 1.0) if known else (guesses[0].sigma, guesses[1].sigma)
     )
-    system = problem.system(_settle(start, start.first_guess(), _robust if options.robust else _likeliest))
+    system = problem.system(_relinearise(start, start.first_guess(), _robust if options.robust else _likeliest))
     found = []
     for index, guess in enumerate(guesses):
         states = np.flatnonzero(np.arange(system.observation.shape[1]) % 6 // 3 == index)
@@ -258,7 +258,7 @@ def _guess(problem: PoseProblem, values: Array, known: bool, what: str) -> Smoot
     return SmootherNoise(q, 1.0 if known else sigma)
 
 
-def _settle(problem: PoseProblem, guess: PoseGuess, means_of: Callable[[LinearSystem], Array]) -> PoseGuess:
+def _relinearise(problem: PoseProblem, guess: PoseGuess, means_of: Callable[[LinearSystem], Array]) -> PoseGuess:
     """Return the rotations and their rates at the minimum: Gauss–Newton, all poses at once.
 
     means_of: the states (K, n) of a linear system.
