@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from functools import partial
 from math import isfinite
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from camcal.cli import show
 from camcal.cli.call import Call, ImageCall
@@ -13,7 +13,6 @@ from camcal.tasks.calibration.options import AdviseOptions, CalibrateOptions, De
 
 if TYPE_CHECKING:
     from camcal.calibrate.intrinsics import RejectedCorner
-    from camcal.tasks.calibration.advise import AdviseReport
     from camcal.tasks.calibration.camera_result import CalibrateReport
     from camcal.tasks.calibration.detect import DetectReport
     from camcal.tasks.calibration.video_frames import FrameRecord
@@ -49,21 +48,23 @@ def advise(options: AdviseOptions, call: Call) -> None:
     will be; and which of the views that there are may be left out.
 
     From detections the camera is calibrated first; a camera file does not hold the views, so that none are named.
+
+    With --robot, the poses of a robot's hand that hand and eye gain most from.
     """
-    from camcal.tasks.calibration import advise as task
+    from camcal.tasks.calibration import advise as views
+    from camcal.tasks.calibration import advise_hand as poses
 
+    task: Any = views if options.robot is None else poses
     report = task.advise(options, call.progress)
-    call.give(lambda: task.document(report), lambda: _show_advice(report, options))
 
+    def shown() -> None:
+        show.text(task.headline(report))
+        show.table("views to take next", task.COLUMNS, list(task.rows(report)))
+        for line in task.lines(report):
+            show.text(line)
+        show.wrote(options.output)
 
-def _show_advice(report: "AdviseReport", options: AdviseOptions) -> None:
-    from camcal.tasks.calibration import advise as task
-
-    show.text(task.headline(report))
-    show.table("views to take next", task.COLUMNS, list(task.rows(report)))
-    for line in task.lines(report):
-        show.text(line)
-    show.wrote(options.output)
+    call.give(lambda: task.document(report), shown)
 
 
 def _show_calibration(report: "CalibrateReport", options: CalibrateOptions, verbose: bool) -> None:

@@ -115,8 +115,8 @@ _CALLS = {  # a comment with the purpose above each call, as in a shell
         advise camera.yaml -o next.png
         # The same from corners, with the views that may be left out
         advise corners.csv
-        # Five views of one camera of a rig, for a program
-        advise rig.yaml#left --views 5 --json
+        # Which poses a robot's hand should take next, by what handeye said of its noise
+        advise hand.yaml --robot 0.5mm,0.06deg
     """,
     "handeye": """
         # Where the camera stands on the hand, poses by the names of images

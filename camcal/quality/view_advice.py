@@ -124,8 +124,8 @@ def advise(known: Known, count: int = 3, seen: Sequence[tuple[BoardDetection, Po
     lens = len(metric)
     metric = root[:lens].T @ metric @ root[:lens]
     gains = root.T @ information @ root
-    chosen, stds = _best(gains, metric, count)
-    views = [_suggested(found, index, std) for index, std in zip(chosen, stds, strict=True)]
+    chosen, stds = choose(gains, metric, count)
+    views = [suggested(found, index, std) for index, std in zip(chosen, stds, strict=True)]
     spared, rise = _spared(known, [*seen]) if len(seen) > _KEPT else ((), 0.0)
     return ViewAdvice(float(np.sqrt(np.trace(metric) / 2)), tuple(views), spared, rise)
 
@@ -141,7 +141,7 @@ def telling_view(known: Known, information: Array, axis: Array) -> SuggestedView
     free = free_parameters(known.camera)
     covariance = np.asarray(known.camera.covariance)[np.ix_(free, free)]
     seen = np.linalg.solve(np.eye(count) + total @ covariance, (total @ axis)[..., None])
-    return _suggested(found, int(np.argmax(seen[..., 0] @ axis)), 0.0)
+    return suggested(found, int(np.argmax(seen[..., 0] @ axis)), 0.0)
 
 
 def _prior_root(known: Known) -> Array:
@@ -170,9 +170,9 @@ def _image_metric(known: Known) -> Array:
     return np.asarray(flat.T @ flat / max(len(moved), 1))
 
 
-def _best(gains: Array, metric: Array, count: int) -> tuple[list[int], list[float]]:
-    """Return which candidates to take, and the standard deviations (RMS, px) after each; gains: (V, D, D) of the
-    information and metric (D, D), both in standard deviations of what is known.
+def choose(gains: Array, metric: Array, count: int) -> tuple[list[int], list[float]]:
+    """Return which candidates to take, and the standard deviations (RMS of two directions) after each; gains: (V, D, D)
+    of the information and metric (D, D), both in standard deviations of what is known.
     """
     start = np.eye(len(metric))
 
@@ -198,7 +198,8 @@ def _best(gains: Array, metric: Array, count: int) -> tuple[list[int], list[floa
     return order, stds
 
 
-def _suggested(found: Candidates, index: int, std: float) -> SuggestedView:
+def suggested(found: Candidates, index: int, std: float) -> SuggestedView:
+    """Return a candidate in words' figures, with the standard deviation after it."""
     lean, (u, v) = found.leans[index], found.centres[index].tolist()
     tilt = float(np.linalg.norm(lean))
     # a turn by a positive angle about the rows takes the lower edge, y > 0, away from the camera

@@ -1,7 +1,7 @@
 """At which distances something is asked of a camera: options that commands share."""
 
 from dataclasses import dataclass
-from math import inf
+from math import degrees, inf, radians
 from typing import Annotated
 
 from camcal.errors import InvalidInput
@@ -29,6 +29,20 @@ LENGTHS = ValueType(
     lambda text: tuple(map(_read_length, text.split(","))),
     lambda values: ",".join(map(_write_length, values)),
     "lengths such as 0.5m,800mm, separated by commas",
+)
+
+
+def _read_noise(text: str) -> tuple[float, float]:
+    """Return standard deviations of position (m) and rotation (rad), written as a length and an angle in degrees."""
+    place, _, turn = text.partition(",")
+    angle = radians(parse_number(turn.removesuffix("deg")))
+    if not 0 < angle < inf:
+        raise ValueError(text)
+    return _read_length(place), angle
+
+
+ROBOT_NOISE = ValueType(
+    _read_noise, lambda noise: f"{_write_length(noise[0])},{degrees(noise[1]):.17g}deg", "noise such as 0.5mm,0.06deg"
 )
 
 

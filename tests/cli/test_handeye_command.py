@@ -1,6 +1,7 @@
 """`camcal handeye` as it is called from a shell."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from camcal.cameras.model import Camera
 from camcal.formats import cameras, detections, native
 from camcal.formats.camera_file import CalibrationNoise, CameraEntry, CameraFile
 from camcal.formats.pose_text import form_named
+from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
 from camcal.simulate.scene import observe, views
 from camcal.targets.board import Board
@@ -164,3 +166,58 @@ def test_with_the_board_in_the_hand_the_camera_stands_in_the_base(handeye, folde
     file = cameras.read(folder / "hand.yaml")
     assert (code, list(file.transforms)) == (0, ["base_T_camera", "hand_T_board"])
     assert np.abs(file.transforms["base_T_camera"].pose.translation - CARRIER.translation).max() < 3e-4
+
+
+def uncertainty(path, middle):
+    """The standard deviation (m) of the place of what a camera on a hand sees at a point of its frame."""
+    known = cameras.read(path).transforms["hand_T_camera"]
+    reach = np.hstack([np.eye(3), -so3.hat(known.pose.rotation @ middle)])
+    return np.sqrt(np.trace(reach @ known.covariance @ reach.T))
+
+
+def test_hand_and_eye_are_known_after_suggested_poses_as_well_as_forecast(run, folder, monkeypatch):
+    monkeypatch.chdir(folder)
+    sharp = Camera(LENS.model, LENS.image_size, LENS.parameters, 1e-6 * LENS.covariance)
+    native.write(folder / "sharp.yaml", CameraFile({"camera": CameraEntry(sharp, noise=CalibrationNoise(0.1))}))
+    given = ("handeye", "sharp.yaml", "seen.csv", "--robot", "robot.csv", "-o", "sharp_hand.yaml")
+    noise = json.loads(run(*given, "--json")[1])["robot_noise"]
+    words = f"{noise['position_m']['value']}m,{np.degrees(noise['rotation_rad']['value'])}deg"
+    code, out, _ = run("advise", "sharp_hand.yaml", "--robot", words, "--views", 10, "--json")
+    advice = json.loads(out)
+    assert code == 0
+    seen = [each["camera_T_board"] for each in advice["poses"]]
+    poses = [Pose.from_vector(np.array(own["rotation_vector"]), np.array(own["t"])) for own in seen]
+    rng = np.random.default_rng(8)
+    more = observe(LENS, BOARD, poses, noise_px=0.1, rng=rng)[0]
+    robot = [WORLD @ pose.inverse() @ CARRIER.inverse() for pose in poses]
+    robot = [Pose(pose.rotation, pose.translation + rng.normal(0, 2e-4, 3)) for pose in robot]
+    rows = [",".join(map(repr, form_named("ros").numbers(pose).tolist())) for pose in robot]
+    before = detections.read(folder / "seen.csv")
+    views_of_both = [replace(view, image=f"{n:03d}.png") for n, view in enumerate((*before.views, *more.views))]
+    detections.write(folder / "both.csv", replace(before, views=tuple(views_of_both)))
+    (folder / "both.txt").write_text((folder / "robot.csv").read_text() + "\n".join(rows) + "\n")
+    middle = np.array([0.0, 0.0, np.mean([pose.translation[2] for pose in poses])])
+    first = uncertainty(folder / "sharp_hand.yaml", middle)
+    command = ("handeye", "sharp.yaml", "both.csv", "--robot", "both.txt", "-o", "after.yaml", "--overwrite")
+    assert run(*command)[0] == 0
+    lower = advice["poses"][-1]["uncertainty_m"] / advice["uncertainty_m"]
+    assert uncertainty(folder / "after.yaml", middle) / first == pytest.approx(lower, rel=0.25)
+    assert lower < 0.75
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (
+            ("camera.yaml", "--robot", "0.5mm,0.1deg", "-b", "chessboard:9x6:25mm"),
+            "has no hand_T_camera and base_T_board",
+        ),
+        (("hand.yaml", "--robot", "0.5mm"), "'0.5mm' is not noise such as 0.5mm,0.06deg"),
+        (("hand.yaml", "--robot", "0.5mm,0.1deg", "-o", "next.png"), "--robot has no picture"),
+        (("hand.yaml", "--robot", "0.5mm,0.1deg", "--model", "opencv5"), "applies to detections"),
+    ],
+)
+def test_what_is_no_file_of_hand_and_eye_gets_no_poses_of_the_hand(run, handeye, words, said):
+    assert handeye("robot.csv")[0] == 0
+    code, _, err = run("advise", *words)
+    assert (code, said in err) == (2, True), err

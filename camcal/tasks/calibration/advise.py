@@ -56,7 +56,7 @@ def advise(options: AdviseOptions, progress: Progress = SILENT) -> AdviseReport:
             raise InvalidInput(f"{given[0]} applies to detections, not to a camera file", where=options.file)
         path, name = split_address(options.file)
         board = None if options.board is None else boards.load_board(options.board)
-        known, seen = _of_file(cameras.read(path, progress), str(path), name, board), []
+        known, seen = known_of_file(cameras.read(path, progress), str(path), name, board), []
     advice = best_views(known, options.count, seen)
     if options.output is not None:
         from camcal.report.figures.advice import suggested_views
@@ -83,9 +83,9 @@ def advise_views(
         return best_views(known, count, seen)
     other = board if board is None or isinstance(board, Board) else boards.load_board(board)
     if isinstance(calibration, CameraFile):
-        return best_views(_of_file(calibration, "the camera file", None, other), count)
+        return best_views(known_of_file(calibration, "the camera file", None, other), count)
     path, name = split_address(str(calibration))
-    return best_views(_of_file(cameras.read(path), str(path), name, other), count)
+    return best_views(known_of_file(cameras.read(path), str(path), name, other), count)
 
 
 def _of_calibration(report: CalibrateReport) -> tuple[Known, list[tuple[BoardDetection, Pose]]]:
@@ -108,8 +108,11 @@ def _of_calibration(report: CalibrateReport) -> tuple[Known, list[tuple[BoardDet
     return Known(own.camera, own.surface, own.sigma_px, distances, boards.noise_share, circle), seen
 
 
-def _of_file(file: CameraFile, where: str, name: str | None, board: Board | None) -> Known:
-    """Return what a camera file knows of a camera; board: another one than that of the calibration."""
+def known_of_file(file: CameraFile, where: str, name: str | None, board: Board | None) -> Known:
+    """Return what a camera file knows of a camera; board: another one than that of the calibration.
+
+    Raises InvalidInput where it names no board, or states no covariance and noise.
+    """
     entry, surface = cameras.select(file, name, where), file.board_shape
     named = file.provenance.get("board")
     if surface is None and isinstance(named, dict) and not any(boards.check(named, "board")):

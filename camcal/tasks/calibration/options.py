@@ -25,7 +25,7 @@ from camcal.options import (
 from camcal.raw.options import AS_IMAGES, ImageReadOptions
 from camcal.run.options import DEFAULT_BATCH, BatchOptions
 from camcal.tasks.gates import TRUSTWORTHY
-from camcal.tasks.measured_at import LENGTHS
+from camcal.tasks.measured_at import LENGTHS, ROBOT_NOISE
 from camcal.tasks.options import (
     BOARD_OPTION,
     CAMERA_FILE,
@@ -362,7 +362,7 @@ class AdviseOptions(OptionsRecord):
     """A camera file or a detections file, how many views to suggest, and where their picture goes.
 
     board: of detections that name none, or another one than that of the calibration. model, image_size: of detections,
-    as for `calibrate`.
+    as for `calibrate`. robot: standard deviations of its position (m) and rotation (rad), for poses of its hand.
     """
 
     file: Annotated[
@@ -371,6 +371,16 @@ class AdviseOptions(OptionsRecord):
     board: BoardText = None
     model: DetectionsModel = None
     image_size: DetectionsSize = None
+    robot: Annotated[
+        tuple[float, float] | None,
+        Option(
+            "Suggest poses of the hand for a file of 'camcal handeye': the robot's noise of position and rotation, as "
+            "that said it, such as 0.5mm,0.06deg.",
+            metavar="STD",
+            group=METHOD,
+            type=ROBOT_NOISE,
+        ),
+    ] = None
     count: Annotated[
         int, Option("Number of views to suggest.", metavar="N", names="--views", group=METHOD, least=1, most=20)
     ] = 3
