@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING
 from camcal.report.table import value_and_std
 
 if TYPE_CHECKING:
-    from camcal.calibrate.timing.record import CameraTime, TimeCalibration
+    from camcal.calibrate.timing.record import CameraTime, CameraTimes
 
 
-def time_lines(times: "TimeCalibration | None") -> Iterator[str]:
+def time_lines(times: "CameraTimes | None") -> Iterator[str]:
     """Yield the times of cameras, a line each."""
     if times is None:
         return
@@ -24,7 +24,7 @@ def time_lines(times: "TimeCalibration | None") -> Iterator[str]:
             yield f"Readout time{f' of {name}' if name else ''}: {readout} ± {std} ms"
 
 
-def times_data(times: "TimeCalibration | None") -> dict[str, dict[str, float]] | None:
+def times_data(times: "CameraTimes | None") -> dict[str, dict[str, float]] | None:
     """Return the times of cameras as plain data by their names, as the camera file has them; None without any."""
     return None if times is None else {name: time_data(own) for name, own in times.cameras.items()}
 

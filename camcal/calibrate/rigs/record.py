@@ -20,7 +20,7 @@ from camcal.records import Brief
 from camcal.targets.detection import BoardDetection
 
 if TYPE_CHECKING:
-    from camcal.calibrate.timing.record import TimeCalibration
+    from camcal.calibrate.timing.record import CameraTimes
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,7 +136,7 @@ class RigCalibration(Brief):
     covariance: FloatArray
     captures: tuple[str, ...]
     motion: ExposureMotion | None = None
-    times: "TimeCalibration | None" = None
+    times: "CameraTimes | None" = None
     unlinked: Mapping[str, str] = field(default_factory=dict)
     epipolar_rms_px: float | None = None
     epipolar_by_capture: FloatArray = field(default_factory=lambda: np.zeros(0))

@@ -28,13 +28,19 @@ class CameraTime:
 
 
 @dataclass(frozen=True, eq=False)
-class TimeCalibration(Brief):
-    """The times of cameras by their names. interval: s, between frames. ids: by the names of cameras and images, the
-    points (N,) of the board that a view shows, as the first camera numbers it.
-    """
+class CameraTimes(Brief):
+    """The times of cameras by their names. interval: s, between frames."""
 
     cameras: Mapping[str, CameraTime]
     interval: float
+
+
+@dataclass(frozen=True, eq=False)
+class TimeCalibration(CameraTimes):
+    """How the times of cameras were found. ids: by the names of cameras and images, the points (N,) of the board that a
+    view shows, as the first camera numbers it.
+    """
+
     estimate: TimeEstimate
     ids: Mapping[str, Mapping[str, Array]]
     warnings: tuple[Message, ...] = ()

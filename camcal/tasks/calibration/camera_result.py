@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from camcal.tasks.calibration.video_frames import FrameRecord
 
 if TYPE_CHECKING:
-    from camcal.calibrate.timing.record import TimeCalibration
+    from camcal.calibrate.timing.record import CameraTimes
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +70,7 @@ def camera_file(
     command: Sequence[str],
     channels: Mapping[str, Channel] = MappingProxyType({}),
     circle: ImageCircle | None = None,
-    times: "TimeCalibration | None" = None,
+    times: "CameraTimes | None" = None,
 ) -> CameraFile:
     """Return what the camera file says of a calibration; green is the camera itself and no channel of its own.
 
@@ -181,7 +181,7 @@ class CalibrateReport(Brief):
     frames: "tuple[FrameRecord, ...]" = ()
     candidates: tuple[CandidateModel, ...] = ()
     figures: tuple[Path, ...] = ()
-    times: "TimeCalibration | None" = None
+    times: "CameraTimes | None" = None
 
     def __repr__(self) -> str:
         """Return the verdict, the lens and its uncertainty in a line."""

@@ -19,7 +19,7 @@ from camcal.targets.board import Board
 from camcal.targets.detection import BoardDetection
 
 if TYPE_CHECKING:
-    from camcal.calibrate.timing.record import TimeCalibration
+    from camcal.calibrate.timing.record import CameraTimes
 
 # the simplest first: by the number of their parameters
 CANDIDATES = ("pinhole", "opencv4", "kannala_brandt4", "opencv5", "kannala_brandt5t", "opencv8")
@@ -59,7 +59,7 @@ class Selection:
     candidates: tuple[CandidateModel, ...] = ()
     warnings: tuple[Message, ...] = ()
     lines: tuple[str, ...] = ()
-    times: "TimeCalibration | None" = None
+    times: "CameraTimes | None" = None
 
 
 def solve(
