@@ -17,7 +17,7 @@ LINES = {
     "__init__": 37,
     "__main__": 6,
     "arrays": 42,
-    "calibrate": 10962,
+    "calibrate": 10968,
     "cameras": 4097,
     "cli": 3709,
     "errors": 137,
@@ -45,7 +45,7 @@ LINES = {
     "tasks": 25197,
     "urls": 99,
 }
-PARTS = {"modules": 505, "records": 728, "records named in one module": 206, "short functions with one reference": 481}
+PARTS = {"modules": 505, "records": 729, "records named in one module": 207, "short functions with one reference": 481}
 PASSED = {"modules": 100, "functions": 1003, "records": 115}  # from a table of detections to a camera file
 SHORT = 5  # lines of a function's body, which could as well stand where it is called
 
