@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import FigureBase
+from matplotlib.ticker import MaxNLocator
 
 from camcal.arrays import Array
 from camcal.calibrate.robot.estimator import RobotEstimate
@@ -43,6 +44,7 @@ def robot_errors(found: RobotEstimate, images: Sequence[str], doubtful: Sequence
                 side = "left" if place < len(off) / 2 else "right"
                 axes.annotate(words, (place + 1, top), fontsize=7, va="center", ha=side)
         lower.set_xlabel("pose")
+        lower.xaxis.set_major_locator(MaxNLocator(integer=True))
 
     return Plot(
         "robot_errors",
