@@ -35,7 +35,7 @@ LINES = {
     "quality": 3157,
     "raw": 5015,
     "records": 155,
-    "report": 7329,
+    "report": 7331,
     "run": 3694,
     "simulate": 1709,
     "solve": 1868,
