@@ -1,17 +1,18 @@
 """Poses of a robot as robots and people write them: a row of numbers each, in a form that the file seldom says.
 
 Rows of text or CSV, after the name of an image or without one; 4 x 4 matrices on lines of four; a list in YAML or JSON,
-of numbers, matrices, or mappings such as ROS's position and orientation; a MATLAB file (version 5 to 7.2) with one
+of numbers, matrices, or mappings such as ROS's position and orientation; a MATLAB file (version 5 to 7) with one
 array of them, 4 x 4 x N or a row each.
 """
 
 import re
+import struct
+import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from io import BytesIO
 from itertools import product
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
@@ -94,16 +95,14 @@ def _finite(numbers: Array, where: str) -> Array:
 
 def _of_matlab(path: Path) -> Array:
     """Return the numbers (N, k) of the one array of a MATLAB file that can be poses; raises FileError, InvalidInput."""
-    from scipy.io import loadmat
+    from camcal.formats.cameras import mat  # here, since it loads what reads camera files
 
-    if len(content := files.read_bytes(path, _LARGEST)) < 128:
-        raise FileError("is no MATLAB file", where=str(path))
+    content = files.read_bytes(path, _LARGEST)
     try:
-        variables = loadmat(cast(Any, BytesIO(content)))
-    except Exception as error:  # of a damaged file the reader raises any kind
-        raise FileError(
-            f"is no MATLAB file of version 5 to 7.2: save it with -v7 ({error})", where=str(path)
-        ) from error
+        variables = mat.variables(content)
+    except (ValueError, IndexError, OverflowError, struct.error, zlib.error) as error:
+        text = "is truncated, or not a MAT-file of version 5 to 7: save it with save(…, '-v7')"
+        raise FileError(text, where=str(path)) from error
     found = {name: rows for name, value in variables.items() if (rows := _of_array(value)) is not None}
     if len(found) != 1:
         listed = f"poses in several variables: {', '.join(found)}" if found else "no array 4 x 4 x N or N x 6 of poses"
@@ -113,21 +112,18 @@ def _of_matlab(path: Path) -> Array:
 
 def _of_array(value: Any) -> Array | None:
     """Return the numbers (N, k) of an array of MATLAB, or of its cells, None where it cannot be poses."""
-    if not isinstance(value, np.ndarray):
-        return None
-    if value.dtype == object and value.size:
-        cells = [np.asarray(each) for each in value.ravel()]
-        same = {each.shape for each in cells} <= {(4, 4), (3, 4)} and len({each.shape for each in cells}) == 1
-        value = np.stack(cells, axis=2) if same else value
-    if value.dtype.kind not in "fiu":
+    try:
+        cells = isinstance(value, tuple)
+        value = np.stack([np.asarray(each, float) for each in value], axis=2) if cells else np.asarray(value, float)
+    except (TypeError, ValueError):  # texts, structs, cells of several shapes
         return None
     if value.ndim == 3 and value.shape[:2] in ((4, 4), (3, 4)):
-        matrices = np.moveaxis(np.asarray(value, float), 2, 0)
+        matrices = np.moveaxis(value, 2, 0)
         # a row vector times its matrix, as MATLAB had it before 2022b
         if value.shape[0] == 4 and not matrices[:, :3, 3].any() and matrices[:, 3, :3].any():
             matrices = matrices.transpose(0, 2, 1)
         return np.asarray(matrices.reshape(len(matrices), -1))
-    return np.asarray(value, float) if value.ndim == 2 and value.shape[1] in _COUNTS and len(value) > 1 else None
+    return np.asarray(value) if value.ndim == 2 and value.shape[1] in _COUNTS and len(value) > 1 else None
 
 
 def _as_mapping(text: str) -> str:

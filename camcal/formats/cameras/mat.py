@@ -1,4 +1,4 @@
-"""MAT-files of versions 5 to 7 as plain data: numbers, texts and structs.
+"""MAT-files of versions 5 to 7 as plain data: numbers, texts, structs, and cells of numbers.
 
 SciPy's reader may end the process at a damaged file. Source: MathWorks, MAT-File Format, level 5, tables 1-1 to 1-3.
 """
@@ -13,12 +13,12 @@ import numpy as np
 _WORDS = "i1 u1 i2 u2 i4 u4 f4 - f8 - - i8 u8 - - u1 u2"  # types of numbers, from 1
 _TYPES = {kind: word for kind, word in enumerate(_WORDS.split(), 1) if word != "-"}
 _MATRIX, _COMPRESSED = 14, 15
-_STRUCT, _CHAR, _NUMBERS = 2, 4, range(6, 16)  # classes of arrays
+_CELL, _STRUCT, _CHAR, _NUMBERS = 1, 2, 4, range(6, 16)  # classes of arrays
 _HEADER, _LARGEST, _DEEPEST = 128, 64 << 20, 16
 
 
 def variables(content: bytes) -> dict[str, Any]:
-    """Return the variables of a file by their names, None for what is no number, text or struct.
+    """Return the variables of a file by their names, tuples for cells, None for what is no number, text or struct.
 
     Raises ValueError, struct.error or zlib.error for a damaged file, and one of big-endian numbers.
     """
@@ -53,10 +53,12 @@ def _array(data: bytes, depth: int) -> tuple[str, Any]:
     """Return the name and the value of an array."""
     parts = list(_elements(data))
     kind = struct.unpack_from("<I", parts[0][1])[0] & 0xFF if parts else 0
-    if depth > _DEEPEST or len(parts) < 3 or kind not in (_STRUCT, _CHAR, *_NUMBERS):
+    if depth > _DEEPEST or len(parts) < 3 or kind not in (*((_CELL,) if depth == 0 else ()), _STRUCT, _CHAR, *_NUMBERS):
         return "", None
-    sides = np.frombuffer(parts[1][1], "<i4").tolist()
     name, rest = parts[2][1].decode("ascii", "replace"), parts[3:]
+    if kind == _CELL:
+        return name, tuple(_array(each, depth + 1)[1] for _, each in rest)
+    sides = np.frombuffer(parts[1][1], "<i4").tolist()
     if kind == _STRUCT:
         length = struct.unpack_from("<i", rest[0][1])[0]
         fields = [rest[1][1][start : start + length] for start in range(0, len(rest[1][1]), max(length, 1))]
