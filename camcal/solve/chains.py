@@ -1,48 +1,26 @@
 """Steps of problems whose groups form a chain: every residual depends on a few adjacent nodes, as those of a spline.
 
 A problem names its spans as groups: span k has the parameters of the nodes k … k + WIDTH - 1, so that adjacent groups
-have nodes in common. The nodes are eliminated by a banded factor in time proportional to their number; what is left is
-the Schur complement of the shared parameters. The loop is that of `descent`.
+have nodes in common; the groups of a step are the nodes (K, n). The nodes are eliminated by a banded factor in time
+proportional to their number; what is left is the Schur complement of the shared parameters. The loop is that of
+`descent`.
 Source: Furgale, Barfoot, Sibley, Continuous-time batch estimation using temporal basis functions, ICRA 2012.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Generic, Protocol, TypeVar
+from typing import Generic, TypeVar
 
 import numpy as np
 
 from camcal.arrays import Array
 from camcal.solve.descent import STOPPING, Stopping, descend
-from camcal.solve.least_squares import assemble
-from camcal.solve.steps import Block, NormalEquations, SingularError, Step
+from camcal.solve.least_squares import Problem, assemble
+from camcal.solve.steps import NormalEquations, SingularError, Step
 
 State = TypeVar("State")
 
 WIDTH = 4  # nodes of a span: those of a cubic spline
 _HELD = 1e-6  # of the typical diagonal element: what holds nodes that no residual depends on
-
-
-class ChainProblem(Protocol[State]):
-    """What the solver requires of a problem whose groups are the spans of a chain."""
-
-    @property
-    def shared(self) -> int:
-        """The number of shared parameters."""
-        ...
-
-    @property
-    def groups(self) -> tuple[int, int]:
-        """The number of spans and the parameters of each: those of WIDTH nodes."""
-        ...
-
-    def blocks(self, state: State) -> Sequence[Block] | None:
-        """Return the residual blocks at a state, by spans, or None where it is outside the problem's domain."""
-        ...
-
-    def retract(self, state: State, step: Step) -> State:
-        """Return the state moved by a step, whose groups are the nodes (K, n)."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,7 +109,7 @@ class ChainSolution(Generic[State]):
     factors: ChainFactors
 
 
-def minimise_chain(problem: ChainProblem[State], state: State, stopping: Stopping = STOPPING) -> ChainSolution[State]:
+def minimise_chain(problem: Problem[State], state: State, stopping: Stopping = STOPPING) -> ChainSolution[State]:
     """Return the state that minimises the cost, starting at `state`; raises SingularError."""
     end = descend(_ChainSearch(problem), state, stopping)
     return ChainSolution(end.state, end.equations.cost, end.converged, ChainFactors.of(end.equations))
@@ -139,7 +117,7 @@ def minimise_chain(problem: ChainProblem[State], state: State, stopping: Stoppin
 
 @dataclass(frozen=True)
 class _ChainSearch(Generic[State]):
-    problem: ChainProblem[State]
+    problem: Problem[State]
 
     def linearise(self, state: State) -> ChainEquations | None:
         blocks = self.problem.blocks(state)
