@@ -31,11 +31,10 @@ _MILLI = 1e3
 
 @dataclass(frozen=True, eq=False)
 class HandAdviceReport:
-    """What is known of the camera, and (found) what further poses of the hand would do; output: None, no picture."""
+    """What is known of the camera, and (found) what further poses of the hand would do."""
 
     known: Known
     found: HandAdvice
-    output: None = None
 
 
 def advise(options: AdviseOptions, progress: Progress = SILENT) -> HandAdviceReport:

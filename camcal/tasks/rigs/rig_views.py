@@ -201,15 +201,12 @@ def _of_board(
     return replace(view, body=name) if first and not view.found else None
 
 
-def _from_media(cameras: Sequence[CameraInputs], settings: RigSettings, progress: Progress) -> RigViews:
-    asked = asked_board(settings)
-    if asked is None:
-        raise InvalidInput("--board is needed to find one in images, such as --board chessboard:9x6:25mm")
-    require_size(asked)
-    if isinstance(asked, BoardSet):
-        return _from_images_of_boards(cameras, asked, settings, progress)
-    options = DetectOptions(
-        board=asked,
+def _detection(board: Board, settings: RigSettings) -> DetectOptions:
+    """Return how a board is searched for; raises InvalidInput for one that cannot be found so."""
+    require_findable(board, partial=settings.parts)
+    require_colours(board, settings.reading)
+    return DetectOptions(
+        board=board,
         jobs=settings.jobs,
         batch=settings.batch,
         reading=settings.reading,
@@ -217,8 +214,16 @@ def _from_media(cameras: Sequence[CameraInputs], settings: RigSettings, progress
         parts=settings.parts,
         mixed_sizes=settings.mixed_sizes,
     )
-    require_findable(asked, partial=settings.parts)
-    require_colours(asked, settings.reading)
+
+
+def _from_media(cameras: Sequence[CameraInputs], settings: RigSettings, progress: Progress) -> RigViews:
+    asked = asked_board(settings)
+    if asked is None:
+        raise InvalidInput("--board is needed to find one in images, such as --board chessboard:9x6:25mm")
+    require_size(asked)
+    if isinstance(asked, BoardSet):
+        return _from_images_of_boards(cameras, asked, settings, progress)
+    options = _detection(asked, settings)
     videos = None
     every = every_frame(cameras, settings.frames, progress) if settings.timed else {}
     if any(camera.videos for camera in cameras) and not settings.timed:
@@ -283,17 +288,7 @@ def _from_images_of_boards(
     warnings: list[Message] = []
     failed: dict[str, None] = {}
     for name, member in asked.members.items():
-        options = DetectOptions(
-            board=member,
-            jobs=settings.jobs,
-            batch=settings.batch,
-            reading=settings.reading,
-            parts=settings.parts,
-            mixed_sizes=settings.mixed_sizes,
-        )
-        require_findable(member, partial=settings.parts)
-        require_colours(member, settings.reading)
-        found = search_board(member, images, [], options, progress, locate=locate)
+        found = search_board(member, images, [], _detection(member, settings), progress, locate=locate)
         if found.nothing:
             raise type(found.nothing)(f"board {name}: {found.nothing.message}") from found.nothing
         members[name] = found.board
