@@ -14,6 +14,11 @@ TRUSTWORTHY = "trustworthy"
 _NOTHING = "the file states no {}: calibrate with camcal"
 
 
+def trust_option(text: str) -> Option:
+    """Return an option that asks for a calibration to be trustworthy."""
+    return Option(text, metavar=TRUSTWORTHY, group=CHECKS, choices=(TRUSTWORTHY,), recorded=False)
+
+
 @dataclass(frozen=True)
 class CameraGates(OptionsRecord):
     """What cameras of a file must be: their verdict, their largest projection uncertainty (px), the least share of the
@@ -22,13 +27,7 @@ class CameraGates(OptionsRecord):
 
     require: Annotated[
         str | None,
-        Option(
-            "Exit with 7 if a camera's verdict in the file is not that it is trustworthy.",
-            metavar=TRUSTWORTHY,
-            group=CHECKS,
-            choices=(TRUSTWORTHY,),
-            recorded=False,
-        ),
+        trust_option("Exit with 7 if a camera's verdict in the file is not that it is trustworthy."),
     ] = None
     max_uncertainty: Annotated[
         float | None,

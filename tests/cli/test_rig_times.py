@@ -9,9 +9,9 @@ from timed_scenes import BOARD, Clocked, by_hand, rotations
 
 from camcal.formats import detections, native
 from camcal.targets.detection import Detections
-from camcal.tasks.poses.smooth_options import Timing
 from camcal.tasks.rigs.calibrate_rig import document, rig
 from camcal.tasks.rigs.options import RigSettings, RigTaskOptions
+from camcal.tasks.timing import Timing
 
 FRAME = 1 / 30
 OFFSET, RATE = 11.37 * FRAME, 3e-5  # s of the right one's stamps, and its clock's rate

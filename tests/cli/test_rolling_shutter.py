@@ -11,7 +11,7 @@ from camcal.report.times import time_lines
 from camcal.targets.detection import Detections
 from camcal.tasks.calibration.calibrate import calibrate, document
 from camcal.tasks.calibration.options import CalibrateOptions
-from camcal.tasks.poses.smooth_options import Timing
+from camcal.tasks.timing import Timing
 
 READOUT_S = 0.02
 

@@ -24,7 +24,7 @@ from camcal.options import (
 )
 from camcal.raw.options import AS_IMAGES, ImageReadOptions
 from camcal.run.options import DEFAULT_BATCH, BatchOptions
-from camcal.tasks.gates import TRUSTWORTHY
+from camcal.tasks.gates import trust_option
 from camcal.tasks.measured_at import LENGTHS, ROBOT_NOISE
 from camcal.tasks.options import (
     BOARD_OPTION,
@@ -45,8 +45,8 @@ from camcal.tasks.options import (
     output_option,
     result_option,
 )
-from camcal.tasks.poses.smooth_options import Timing
 from camcal.tasks.suggestions import lens_model_names, lens_models
+from camcal.tasks.timing import Timing
 
 if TYPE_CHECKING:
     from camcal.targets.board import Board
@@ -201,14 +201,10 @@ class CalibrationOptions(OptionsRecord):
     mixed_sizes: MixedSizes = False
     require: Annotated[
         str | None,
-        Option(
+        trust_option(
             "Exit with 7 if the calibration is not trustworthy: a lens model does not fit or is not invertible where "
             "corners are, projections are uncertain, the focal length changes between views, or the views are of "
-            "several cameras. The camera file is written all the same.",
-            metavar=TRUSTWORTHY,
-            group=CHECKS,
-            choices=(TRUSTWORTHY,),
-            recorded=False,
+            "several cameras. The camera file is written all the same."
         ),
     ] = None
     max_uncertainty: Annotated[

@@ -13,7 +13,7 @@ from camcal.targets.detection import BoardDetection
 from camcal.tasks.calibration.board_views import BoardViews
 from camcal.tasks.calibration.model_selection import Selection
 from camcal.tasks.poses.frame_times import frame_times
-from camcal.tasks.poses.smooth_options import Timing
+from camcal.tasks.timing import Timing
 
 CAMERA = ""  # the name of the only one
 _SAME = 0.1  # standard deviations by which a readout time may change without another solution

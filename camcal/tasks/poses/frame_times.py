@@ -16,7 +16,7 @@ from camcal.messages import Message
 from camcal.parsing import LARGEST, parse_number
 from camcal.progress import Progress
 from camcal.run.paths import require_there
-from camcal.tasks.poses.smooth_options import UNITS, Timing
+from camcal.tasks.timing import UNITS, Timing
 
 _NAME, _EXIF = "name", "exif"
 _NUMBER = r"(\d+(?:\.\d+)?)(?!.*\d)"  # the last number of a name

@@ -32,9 +32,9 @@ from camcal.tasks.calibration.video_frames import (
     surveyed,
 )
 from camcal.tasks.poses.frame_times import frame_times
-from camcal.tasks.poses.smooth_options import Timing
 from camcal.tasks.rigs.camera_inputs import CameraInputs, varying
 from camcal.tasks.rigs.options import AUTO, INDEX, NAME, TIME
+from camcal.tasks.timing import Timing
 
 Views = Mapping[str, Sequence[BoardDetection]]  # of every camera, in the order of its images
 Paths = Mapping[str, Sequence[Path]]
