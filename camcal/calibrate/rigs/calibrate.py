@@ -50,7 +50,7 @@ def calibrate_rig(captures: Captures, board: Board, options: RigOptions) -> RigC
         wrong = {(capture, cameras.places[camera]) for capture, camera in found.excluded}
         captures = captures.without(wrong, "inconsistent with the other captures")
         cameras = _alone(captures, board, options)
-    linked, placed, groups, first = _linked(cameras, board, rows, options)
+    linked, placed, groups, first = _link_groups(cameras, board, rows, options)
     priors, measured = _priors(options, linked), _measured_of(options, placed, rows)
     try:
         result = fit_rig(linked.starts, placed, groups, priors, options.motion, measured)
@@ -178,7 +178,7 @@ def _options_of(name: str, options: RigOptions) -> intrinsics.Options:
     )
 
 
-def _linked(
+def _link_groups(
     cameras: _Cameras, board: Board, rows: Rows, options: RigOptions
 ) -> tuple[_Cameras, PlacedRig, tuple[Array, Array, int], Array]:
     """Return the cameras that are linked, where they and the boards are, the groups of the rows of captures, see

@@ -233,16 +233,16 @@ class RigProblem:
             blocks = replace(part, lens_spread=None, term_std=None, offset_std=None).blocks(own)
             if blocks is None:
                 return None
-            result += self._placed(blocks[0], state, camera)
+            result += self._place_blocks(blocks[0], state, camera)
         return result + self.priors(state)
 
     def observed(self, state: RigState) -> list[Block]:
         """Return the observations, by the lenses' formulas beyond their domains as well."""
         own = [self.of_camera(state, camera) for camera in range(len(self.parts))]
         blocks = [part.data(each, part.derivatives(each)) for part, each in zip(self.parts, own, strict=True)]
-        return [own for camera, block in enumerate(blocks) for own in self._placed(block, state, camera)]
+        return [own for camera, block in enumerate(blocks) for own in self._place_blocks(block, state, camera)]
 
-    def _placed(self, block: Block, state: RigState, camera: int) -> list[Block]:
+    def _place_blocks(self, block: Block, state: RigState, camera: int) -> list[Block]:
         """Return the block of a camera's views as blocks of captures, by the shared parameters of the rig."""
         columns, block = self.columns(camera), self.in_rig(block, state, camera)
         shared = tuple(Jacobian(each.values, columns[each.columns]) for each in block.shared)

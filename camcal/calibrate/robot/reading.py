@@ -77,7 +77,7 @@ def seen_form(
     camera sees a board at are in mm.
     """
     apart = np.full(len(camera), np.inf)
-    for shift, rows in _shifted(len(camera[0][1].rotations)):
+    for shift, rows in _shifts(len(camera[0][1].rotations)):
         angles = np.stack([turn_angles(poses.take(rows + shift)) for _, poses in robot])
         here = [np.median(np.abs(angles - turn_angles(own.take(rows).inverse())), axis=1).min() for _, own in camera]
         apart = np.minimum(apart, here)
@@ -111,7 +111,7 @@ def fits_better(own: HandEye, other: HandEye) -> bool:
     return own.score > _BETTER * other.score + _TINY
 
 
-def _shifted(count: int) -> Iterator[tuple[int, Array]]:
+def _shifts(count: int) -> Iterator[tuple[int, Array]]:
     """Yield by how much a list of so many images may be shifted, 0 first, and the places of those that have a pose."""
     for shift in (0, *_SHIFTS) if count > LEAST_POSES + 2 else (0,):
         yield shift, np.arange(max(0, -shift), min(count, count - shift))
@@ -120,7 +120,7 @@ def _shifted(count: int) -> Iterator[tuple[int, Array]]:
 def shift_of(candidates: Sequence[tuple[str, Poses]], camera: Poses) -> int:
     """Return by how many places the list of poses is shifted against the images, 0 if it is not."""
     found = {}
-    for shift, rows in _shifted(len(camera.rotations)):
+    for shift, rows in _shifts(len(camera.rotations)):
         seen = camera.take(rows)
         found[shift] = min(angle_mismatch(poses.take(rows + shift), seen) for _, poses in candidates)
     best = min(found, key=lambda shift: found[shift])

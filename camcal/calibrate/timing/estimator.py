@@ -97,9 +97,9 @@ def estimate_times(
     points = surface.board.points() if surface.offsets is None else surface.board.points() + surface.offsets
     terms = basis(surface.board, surface.terms)
     problem = TimeProblem(tuple(cameras), points, terms, _term_std(surface), free, knots.spans, _LOSS)
-    solution, problem, stiff = _refined(problem, state, interval)
+    solution, problem, stiff = _refine(problem, state, interval)
     for _ in range(_ROUNDS):
-        problem = _weighed(replace(problem, loss=None), solution.state)
+        problem = _weigh(replace(problem, loss=None), solution.state)
         solution = minimise_chain(problem, solution.state, _STOPPING)
     covariance, scatter = _covariance(problem, solution)
     return TimeEstimate(
@@ -126,7 +126,7 @@ def _term_std(surface: Surface) -> Array:
     return np.array([scales[term] * scale_unit(surface.board, term) for term in surface.terms])
 
 
-def _refined(
+def _refine(
     problem: TimeProblem, state: TimeState, interval: float
 ) -> tuple[ChainSolution[TimeState], TimeProblem, bool]:
     """Return the solution with knots as far apart as noise allows, and whether closer ones would explain more."""
@@ -152,7 +152,7 @@ def _variance(problem: TimeProblem, solution: ChainSolution[TimeState]) -> float
     return 2 * solution.cost / max(count - spent, 0.05 * count)
 
 
-def _weighed(problem: TimeProblem, state: TimeState) -> TimeProblem:
+def _weigh(problem: TimeProblem, state: TimeState) -> TimeProblem:
     """Return the problem with each camera's noise by its residuals, and without corners that are far from it."""
     count = sum(2 * int(np.count_nonzero(own.weights)) for own in problem.cameras)
     left = max(1 - (problem.shared + POSE * state.motion.knots.nodes) / count, 0.05)

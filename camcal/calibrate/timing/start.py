@@ -92,11 +92,11 @@ def align(one: Track, other: Track, board: Board, *, lags: bool) -> Alignment | 
     points = board.points()
     centre, reach = points.mean(axis=0), float(np.linalg.norm(points - points.mean(axis=0), axis=1).mean())
     best: list[tuple[float, float]] = []
-    seen = _sampled(*one.velocities(centre, reach), step)
+    seen = _sample(*one.velocities(centre, reach), step)
     usual = np.inf
     for turn, shift in zip(turns, shifts, strict=True):
         turned = Track(other.times, other.rotations @ turn, other.translations + other.rotations @ shift)
-        offsets, scores = _disagreement(seen, _sampled(*turned.velocities(centre, reach), step), step)
+        offsets, scores = _disagreement(seen, _sample(*turned.velocities(centre, reach), step), step)
         if not len(offsets):
             continue
         lowest = np.r_[True, scores[1:] <= scores[:-1]] & np.r_[scores[:-1] <= scores[1:], True]
@@ -139,7 +139,7 @@ def _spread(one: Track, other: Track, offset: float, board: Board) -> Link | Non
     )
 
 
-def _sampled(times: Array, values: Array, step: float) -> tuple[float, Array, Array]:
+def _sample(times: Array, values: Array, step: float) -> tuple[float, Array, Array]:
     """Return the first time, values (N, 6) every `step`, which (N,) are known; few values that are far off are cut."""
     sizes = np.linalg.norm(values, axis=1)
     most = _CLIP * float(np.sqrt(np.mean(np.sort(sizes)[: max(1, int(0.95 * len(sizes)))] ** 2))) + 1e-300

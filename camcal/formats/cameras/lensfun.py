@@ -75,11 +75,11 @@ class _Lens(NamedTuple):
         reach = math.hypot(size[0] - 1, size[1] - 1) / 2  # px, as lensfun measures sides
         unit = reach * crop / self.crop / math.hypot(self.aspect, 1.0)
         radial = np.zeros(7)  # of r, r², r³ and so on
-        radial[_POWERS[self.model]] = _interpolated(self.distortion, focal, 0)
+        radial[_POWERS[self.model]] = _interpolate(self.distortion, focal, 0)
         radial[0] = 1.0 if self.model == "poly5" else 1.0 - radial.sum()
         kind, ideal = self.values.text("type") or "rectilinear", focal
         if self.real_focal:
-            ideal = float(_interpolated(self.real_focal, focal, 1)[0]) / radial[0]
+            ideal = float(_interpolate(self.real_focal, focal, 1)[0]) / radial[0]
         radial *= (ideal / self.unit_mm) ** np.arange(1, 8)  # now of the radius before the distortion, in focal lengths
         if not radial[0] > 0:
             raise self.values.wrong("", f"{self.title}: the distortion at {focal:.4g} mm turns the image over")
@@ -90,9 +90,9 @@ class _Lens(NamedTuple):
         middle = (np.array(size) - 1 + self.centre * (min(size) - 1)) / 2
         colours: list[Array] = []
         if self.tca:
-            terms = _interpolated(self.tca, focal, 2).reshape(-1, 2).T
+            terms = _interpolate(self.tca, focal, 2).reshape(-1, 2).T
             model = "opencv5" if model == "opencv4" and terms[:, 1:].any() else model  # a power more is nearer to it
-            colours = [_coloured(model, radial, own, reach / unit) for own in terms]
+            colours = [_colour_terms(model, radial, own, reach / unit) for own in terms]
         channels = {name: _camera(model, own, unit, middle, size) for name, own in zip(("red", "blue"), colours)}  # noqa: B905 - or none
         return CameraEntry(_camera(model, radial, unit, middle, size), channels=channels)
 
@@ -108,7 +108,7 @@ def _camera(model: str, radial: Array, unit: float, middle: Array, size: tuple[i
     return Camera(MODELS[model], size, np.array([radial[0] * unit, radial[0] * unit, *middle, *terms]))
 
 
-def _coloured(model: str, radial: Array, terms: Array, corner: float) -> Array:
+def _colour_terms(model: str, radial: Array, terms: Array, corner: float) -> Array:
     """Return the terms (7,) of the radius of a colour, r (v + c r + b r²) of that of green, up to the corner's r.
 
     Exact where c and b are 0, else the nearest of the same lens model.
@@ -126,7 +126,7 @@ def _coloured(model: str, radial: Array, terms: Array, corner: float) -> Array:
     return result
 
 
-def _interpolated(rows: Rows, focal: float, plain: int) -> Array:
+def _interpolate(rows: Rows, focal: float, plain: int) -> Array:
     """Return the terms at a focal length, by a cubic through the values on both sides with their mean slopes.
 
     plain: how many of the terms are interpolated themselves; the others times the focal length.
@@ -165,7 +165,7 @@ class _Cameras(Mapping[str, CameraEntry]):
 
     def __getitem__(self, name: str) -> CameraEntry:
         """Return a camera by its name or as LENS@FOCAL,CROP; raises InvalidInput if it is not clear which."""
-        lens, focal, crop = self.places.get(name) or self._addressed(name)
+        lens, focal, crop = self.places.get(name) or self._choose(name)
         return lens.entry(focal, crop, self.size)
 
     def __contains__(self, name: object) -> bool:
@@ -177,7 +177,7 @@ class _Cameras(Mapping[str, CameraEntry]):
     def __len__(self) -> int:
         return len(self.places)
 
-    def _addressed(self, address: str) -> tuple[_Lens, float, float]:
+    def _choose(self, address: str) -> tuple[_Lens, float, float]:
         title, *numbers = _ADDRESS.fullmatch(address).groups()  # type: ignore[union-attr] # it matches any text
         words = re.findall(r"[a-z0-9.]+", title.lower())
         found = [lens for lens in self.lenses if lens.title.lower() == title.strip().lower()]
@@ -185,7 +185,9 @@ class _Cameras(Mapping[str, CameraEntry]):
         titles = list(dict.fromkeys(lens.title for lens in found))
         if len(titles) != 1:
             what = f"{len(titles)} lenses are {title!r}" if titles else f"no lens with distortion is {title!r}"
-            raise InvalidInput(f"{what}: choose one, LENS@FOCAL, of {_listed(titles or self.lenses)}", where=self.where)
+            raise InvalidInput(
+                f"{what}: choose one, LENS@FOCAL, of {_list_names(titles or self.lenses)}", where=self.where
+            )
         crop = float(numbers[1]) if numbers[1] else found[0].crop
         lens = max(found, key=lambda each: (each.crop <= 1.01 * crop, each.crop))
         focals = sorted(lens.distortion)
@@ -196,7 +198,7 @@ class _Cameras(Mapping[str, CameraEntry]):
         return lens, focal, crop
 
 
-def _listed(lenses: Sequence[_Lens] | Sequence[str]) -> str:
+def _list_names(lenses: Sequence[_Lens] | Sequence[str]) -> str:
     """Return the first titles of lenses, and how many more there are."""
     titles = list(dict.fromkeys(each if isinstance(each, str) else each.title for each in lenses))
     more = f" and {len(titles) - _LISTED} more" if len(titles) > _LISTED else ""
@@ -213,7 +215,7 @@ def read(sources: Sequence[Source], given: Given) -> CameraFile:
     if not lenses:
         raise InvalidInput("holds no lens with distortion: nothing to undistort", where=str(source.path))
     if given.image_size is None:
-        what = f"{len(lenses)} lenses for images of any size ({_listed(lenses)})"
+        what = f"{len(lenses)} lenses for images of any size ({_list_names(lenses)})"
         raise MissingSize(f"{what}: give FILE#LENS@FOCAL and --size WxH", where=str(source.path))
     return CameraFile(_Cameras(lenses, given.image_size, str(source.path)))
 

@@ -52,12 +52,12 @@ def with_circle(
     videos: the videos that frames among the images are from. files: the images whose names are not their paths. Some
     images are read once more, until it is clear that there is no circle.
     """
-    circle = _measured(detections.views, videos, reading, files)
+    circle = _measure_again(detections.views, videos, reading, files)
     camera = detections.views[0].camera if len(detections) else ""
     return detections if circle is None else replace(detections, circles={camera: circle})
 
 
-def _measured(
+def _measure_again(
     views: Sequence[BoardDetection], videos: Sequence[Video], reading: ImageReadOptions, files: Mapping[str, Path]
 ) -> ImageCircle | None:
     """Return the image circle that images show, None if they show none or points of a board lie outside of it."""

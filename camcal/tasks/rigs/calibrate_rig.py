@@ -289,7 +289,7 @@ def _measure(
                 seen.files,
             )
             for row, view in zip(rows, found.views, strict=True):
-                again[row] = _numbered(seen.board, body, view)
+                again[row] = _renumber(seen.board, body, view)
             added, removed = added + found.recovered, removed + found.lost
         views[name] = again
     return seen.with_views(views), RefinementSummary(added, removed)
@@ -307,7 +307,7 @@ def _alone(board: Board, view: BoardDetection) -> BoardDetection:
     return board.alone(view) if isinstance(board, BoardSet) else view
 
 
-def _numbered(board: Board, body: str, view: BoardDetection) -> BoardDetection:
+def _renumber(board: Board, body: str, view: BoardDetection) -> BoardDetection:
     return board.numbered(body, view) if isinstance(board, BoardSet) else view
 
 
