@@ -36,7 +36,7 @@ LINES = {
     "raw": 5015,
     "records": 155,
     "report": 7331,
-    "run": 3694,
+    "run": 3695,
     "simulate": 1709,
     "solve": 1846,
     "stereo": 5069,
