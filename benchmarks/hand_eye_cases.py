@@ -106,7 +106,7 @@ def no_turn(rng):
 
 def late(rng):
     """A video and the poses of a moving arm, by clocks that differ; the pairs of the same stamps besides."""
-    times, stamps = np.sort(rng.uniform(2, 28, 60)), np.arange(0, 30, 0.02)
+    times, stamps = 2 + np.sort(rng.choice(780, 60, replace=False)) / 30, np.arange(0, 30, 0.02)
     camera = noises((seen_from(moving(time)) for time in times), CAMERA_NOISE, rng)
     robot = noises(map(moving, stamps), ROBOT_NOISE, rng)
     pairs = [robot[int(np.argmin(np.abs(stamps + LATE - time)))] for time in times]
