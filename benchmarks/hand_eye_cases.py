@@ -106,7 +106,7 @@ def no_turn(rng):
 
 def late(rng):
     """A video and the poses of a moving arm, by clocks that differ; the pairs of the same stamps besides."""
-    times, stamps = np.sort(rng.uniform(2, 28, 60)), np.arange(0, 30, 0.02)
+    times, stamps = 2 + np.sort(rng.choice(780, 60, replace=False)) / 30, np.arange(0, 30, 0.02)
     camera = noises((seen_from(moving(time)) for time in times), CAMERA_NOISE, rng)
     robot = noises(map(moving, stamps), ROBOT_NOISE, rng)
     pairs = [robot[int(np.argmin(np.abs(stamps + LATE - time)))] for time in times]
@@ -199,8 +199,8 @@ def rig_files(folder, rng):
                           output=folder / "hand.yaml")  # fmt: skip
 
 
-def show_clean(count, rigs):
-    rng = np.random.default_rng(12)
+def show_clean(count, rigs, seed):
+    rng = np.random.default_rng(seed)
     print("| lists without a mistake | wrong or warned of |\n|---|---|")
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -289,11 +289,12 @@ def main():
     parser.add_argument("--count", type=int, default=20)
     parser.add_argument("--rigs", type=int, default=40)
     parser.add_argument("--opencv")
+    parser.add_argument("--seed", type=int, default=12, help="of --clean")
     parser.add_argument("--clean", action="store_true")
     parser.add_argument("--named", action="store_true")
     options = parser.parse_args()
     if options.clean or options.named:
-        show_clean(options.count, options.rigs) if options.clean else show_named(options.count)
+        show_clean(options.count, options.rigs, options.seed) if options.clean else show_named(options.count)
     else:
         show_cases(options.count, options.opencv)
 

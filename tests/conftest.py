@@ -7,6 +7,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import suppress
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -86,3 +87,25 @@ def start_python() -> Iterator[Callable[..., subprocess.Popen[str]]]:
     for process in started:
         with process, suppress(ProcessLookupError):
             os.killpg(process.pid, signal.SIGKILL)
+
+
+@pytest.fixture
+def local_cluster(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Runs of this process with `--scheduler dask://local` share a cluster, which ends with the test.
+
+    A program keeps it to its end, and later tests would find its processes among their own.
+    """
+    from camcal.run import cluster
+
+    started = []
+
+    @cache
+    def start(workers: int) -> Any:
+        started.append(original.__wrapped__(workers))
+        return started[-1]
+
+    original = cluster._local_cluster
+    monkeypatch.setattr(cluster, "_local_cluster", start)
+    yield
+    for each in started:
+        each.close()

@@ -32,13 +32,16 @@ POSE_COLUMNS = (
     Column("angle", "deg"),
     Column("weight"),
 )
-SIGNIFICANT = 3.3  # standard deviations of what is systematically wrong
+SIGNIFICANT = 4.0  # standard deviations of what is systematically wrong: of few poses, chance in one of 1000 lists
 _MOST_SCALE = 0.5  # by which a robot's lengths are wrong: poses that belong to no image would best have none
 _MILLI = 1e3
 _LARGE_SHIFT = 5e-3  # m: noise of no robot that is sound
 _LARGE_TURN = 8.7e-3  # rad
-DOUBTFUL = 0.3  # the weight below which a pose of the robot is named
+# the weight below which a pose of the robot is named: noise reaches it in fewer than one of 1000 lists, also where that
+# of single poses is larger by a half, as that of poses between two moments is
+DOUBTFUL = 0.2
 _LINEAR = 0.3  # of the variance of its position errors, linear in position
+_CHANCE = 1e-3  # of such a share or more by noise alone
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +102,7 @@ def report_of(
     if isinstance(rig, SeenPoses) and rig.covariances is None:
         # how much of it is whose can hardly be told
         sigmas, dof = (sigmas[0], float(np.hypot(sigmas[1], rig.turn_std))), (dof[0], 3.0 * len(images) - POSE)
-    estimated, linear = tuple(SYSTEMATIC[place] for place in estimate.problem.free), _linear_share(estimate)
+    estimated, (linear, chance) = tuple(SYSTEMATIC[place] for place in estimate.problem.free), _linear_share(estimate)
     return HandEyeReport(
         transforms,
         estimate,
@@ -113,7 +116,7 @@ def report_of(
         outputs=(),
         warnings=(
             *warnings,
-            *_remarks(doubtful, linear, sigmas),
+            *_remarks(doubtful, linear if chance < _CHANCE else 0.0, sigmas),
             *systematic_messages(systematic, estimated),
         ),
     )
@@ -127,18 +130,24 @@ def _interval(sigma: float, dof: float) -> tuple[float, float, float]:
     return sigma, low, high
 
 
-def _linear_share(estimate: RobotEstimate) -> float:
-    """Return the share of the variance of the robot's position errors that is linear in position, beyond chance."""
-    robot = estimate.problem.robot
-    places = robot.base_T_hand.translations
+def _linear_share(estimate: RobotEstimate) -> tuple[float, float]:
+    """Return the share of the variance of the robot's position errors that is linear in position, beyond chance, and
+    how likely noise has as much.
+    """
+    from scipy.special import fdtrc
+
+    counted = estimate.weights >= DOUBTFUL
+    places, errors = estimate.problem.robot.base_T_hand.translations[counted], estimate.residuals[counted, :3]
     terms = np.column_stack([np.ones(len(places)), places - places.mean(axis=0)])
     count, used = len(places), terms.shape[1]
     if count <= 2 * used:
-        return 0.0
-    errors = estimate.residuals[:, :3]
-    left = errors - terms @ np.linalg.lstsq(terms, errors, rcond=None)[0]
-    whole = np.sum((errors - errors.mean(axis=0)) ** 2) / (count - 1)
-    return float(max(0.0, 1.0 - np.sum(left**2) / (count - used) / whole)) if whole > 0 else 0.0
+        return 0.0, 1.0
+    left = float(np.sum((errors - terms @ np.linalg.lstsq(terms, errors, rcond=None)[0]) ** 2)) / (count - used)
+    whole = float(np.sum((errors - errors.mean(axis=0)) ** 2))
+    if left <= 0:
+        return 0.0, 1.0
+    ratio = (whole / left - (count - used)) / (used - 1)
+    return max(0.0, 1.0 - left * (count - 1) / whole), float(fdtrc(3 * (used - 1), 3 * (count - used), ratio))
 
 
 def _remarks(doubtful: Sequence[str], systematic: float, sigmas: tuple[float, float]) -> tuple[Message, ...]:

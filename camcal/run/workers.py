@@ -218,7 +218,8 @@ class WorkerPool(Generic[Item, Value]):
                 return
             self.assign(worker)
         if self.upcoming is not None:
-            self.workers += [_Worker(self.payload) for _ in range(self.count - len(self.workers))]
+            while len(self.workers) < self.count:  # those that have started are known when the next one cannot
+                self.workers.append(_Worker(self.payload))
 
     def assign(self, worker: _Worker) -> None:
         assert self.upcoming is not None

@@ -13,8 +13,10 @@ from timed_scenes import BOARD, LENS, Clocked, Swing, by_hand, rotations
 
 from camcal.calibrate.intrinsics import Options, compare_models
 from camcal.calibrate.problem import POSE
-from camcal.calibrate.timing.calibrate import TimedCamera, time_cameras
-from camcal.calibrate.timing.problem import TimedCorners, TimeProblem, TimeState
+from camcal.calibrate.timing import estimator
+from camcal.calibrate.timing.calibrate import TimedCamera, _Source, _warnings, time_cameras
+from camcal.calibrate.timing.estimator import _refine
+from camcal.calibrate.timing.problem import READOUT, TimedCorners, TimeProblem, TimeState
 from camcal.calibrate.timing.spline import Knots, Motion, motion_through
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.geometry import rotation as so3
@@ -154,6 +156,52 @@ def test_the_readout_time_is_within_its_interval(seed):
     assert abs(own.readout - READOUT_S) < 3 * own.readout_std
     assert own.offset == own.offset_std == 0
     assert not times.warnings
+
+
+@cache
+def shaken(hertz, seed=0):
+    """Return the times of a camera before a board that is moved by hand and shakes at so many hertz."""
+    rng = np.random.default_rng(seed)
+    hand = by_hand(rng)
+    size = np.array([[0.003], [0.003], [0.003], [0.03], [0.03], [0.03]]) * rng.normal(size=(6, 3))
+    rates, phases = 2 * np.pi * hertz * rng.uniform(0.9, 1, (6, 3)), rng.uniform(0, 6, (6, 3))
+    both = zip((hand.amplitudes, hand.rates, hand.phases), (size, rates, phases), strict=True)
+    views = Clocked(readout=READOUT_S).views(Swing(*map(np.hstack, both)), 150, rng)
+    return time_cameras({"": TimedCamera(lens_of(views), views, as_designed=True)}, offsets=False, shutter=True)
+
+
+@pytest.mark.parametrize("hertz", [6, 8, 10])
+def test_a_motion_that_is_fast_for_the_frames_widens_the_interval_of_the_readout_time(hertz):
+    times = shaken(hertz)
+    own = times.cameras[""]
+    assert abs(own.readout - READOUT_S) < 3 * own.readout_std
+    assert ["motion_too_fast"] * (hertz > 6) == [each.code for each in times.warnings]
+
+
+@pytest.mark.parametrize(("times", "beyond"), [(0.7, False), (1.4, True)])
+def test_what_frames_do_not_show_of_a_motion_is_said_where_it_is_most_of_the_uncertainty(times, beyond):
+    found, _ = timed(0)
+    source = _Source.of("", TimedCamera(lens_of(views_of(0)), views_of(0), as_designed=True))
+    left = times * found.cameras[""].readout_std / np.sqrt(2)
+    estimate = replace(found.estimate, unresolved=np.full((3, 1), left))
+    said = _warnings(replace(found, estimate=estimate), [source])
+    assert [each.code for each in said] == ["motion_too_fast"] * beyond
+
+
+def test_a_fifteenth_of_what_the_last_step_of_knots_has_moved_is_left(monkeypatch):
+    steps = []
+
+    def refine(*given):
+        solution, problem, stiff, change = _refine(*given)
+        steps.append(np.full_like(change, 15e-3))
+        return solution, problem, stiff, steps[-1]
+
+    monkeypatch.setattr(estimator, "_refine", refine)
+    views = views_of(0)
+    found = time_cameras({"": TimedCamera(lens_of(views), views, as_designed=True)}, offsets=False, shutter=True)
+    assert found.estimate.unresolved[READOUT, 0] == pytest.approx(1e-3)
+    without = timed(0)[0].cameras[""].readout_std
+    assert found.cameras[""].readout_std == pytest.approx(np.hypot(without, 1e-3), rel=1e-2)
 
 
 def test_without_noise_the_readout_time_is_exact():

@@ -213,6 +213,7 @@ def small_files():
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("local_cluster")
 @pytest.mark.parametrize(("command", "where"), [("undistort", "here"), ("undistort", "there"), ("detect", "here")])
 def test_a_full_disk_costs_what_it_does_not_take_and_the_rest_is_reused(run, folder, where, command):
     """The one table of detections is written here wherever the images are searched."""

@@ -3,6 +3,7 @@
 Not proven here: that a worker stuck in C code without releasing the interpreter leaves when its parent is killed.
 """
 
+import errno
 import os
 import signal
 import subprocess
@@ -22,6 +23,7 @@ import pytest
 from camcal.errors import FileError, InvalidInput, ItemsFailed
 from camcal.messages import Message
 from camcal.progress import Outcome
+from camcal.run import workers
 from camcal.run.fanout import fan_out
 from camcal.run.options import BatchOptions
 from camcal.run.process import available_cores, over_threads
@@ -46,27 +48,26 @@ def gone(pid: int, within_s: float = 5.0) -> bool:
     return False
 
 
-def children() -> list[int]:
-    """Return the worker processes of this one: the children of the server that forks them, or its own where an earlier
-    test has given it a folder of temporary files with a long path. The server and the resource tracker of
-    multiprocessing live on by design.
+def children() -> list[str]:
+    """Return the worker processes of this one, each as its number and command line: the children of the server that
+    forks them, or its own where an earlier test has given it a folder of temporary files with a long path. The server
+    and the resource tracker of multiprocessing live on by design.
     """
-    parents, servers, spawned = {}, set(), []
+    commands, parents = {}, {}
     for stat in Path("/proc").glob("[0-9]*/stat"):
         try:
             state, parent = stat.read_text().rpartition(")")[2].split()[:2]
-            process, parent = int(stat.parent.name), int(parent)
             command = (stat.parent / "cmdline").read_text()
         except (FileNotFoundError, ProcessLookupError):
             continue
-        if state == "Z":  # ended, and not yet collected by the server
-            continue
-        parents[process] = parent
-        if parent == os.getpid() and "forkserver" in command:
-            servers.add(process)
-        if parent == os.getpid() and ("spawn_main" in command or command == Path("/proc/self/cmdline").read_text()):
-            spawned.append(process)
-    return spawned + [process for process, parent in parents.items() if parent in servers]
+        if state != "Z":  # ended, and not yet collected by the server
+            commands[int(stat.parent.name)], parents[int(stat.parent.name)] = command, int(parent)
+    own = {process for process, parent in parents.items() if parent == os.getpid()}
+    servers = {process for process in own if "forkserver" in commands[process]}
+    forked = Path("/proc/self/cmdline").read_text()
+    workers = [process for process in own if "spawn_main" in commands[process] or commands[process] == forked]
+    workers += [process for process, parent in parents.items() if parent in servers]
+    return [f"{process}: {commands[process]}".replace("\0", " ") for process in sorted(workers)]
 
 
 class Recorder:
@@ -158,6 +159,20 @@ def test_a_worker_that_dies_costs_its_item_only_and_the_error_names_the_file():
         assert outcome.error.where == str(outcome.item)
         assert words in str(outcome.error)
     assert children() == []
+
+
+def test_a_worker_that_cannot_be_started_leaves_none_of_the_others(monkeypatch):
+    def started(payload):
+        if children():
+            raise OSError(errno.EAGAIN, "no more processes")
+        return start(payload)
+
+    start = workers._Worker
+    monkeypatch.setattr(workers, "_Worker", started)
+    with pytest.raises(OSError, match="no more processes") as caught:  # which holds the frames of the call
+        list(fan_out(work.doubled, range(3), jobs=2, processes=True))
+    assert children() == []
+    assert caught.traceback
 
 
 def test_a_worker_that_hangs_is_stopped_and_costs_its_item_only():

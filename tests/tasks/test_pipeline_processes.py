@@ -117,6 +117,7 @@ def test_steps_that_name_urls_do_not_go_to_a_cluster_as_a_whole(pipeline):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("local_cluster")
 def test_a_cluster_writes_the_same_bytes(pipeline):
     pytest.importorskip("distributed")
     one, cluster = pipeline("one"), pipeline("cluster")

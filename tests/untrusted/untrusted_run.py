@@ -164,13 +164,29 @@ def case(good: Path, reader: Reader, seed: int) -> Case:
     return Case(reader, "+".join(names), seed, content)
 
 
-def cases_of_numbers(good: Path, only: str) -> list[tuple[Reader, tuple[int, int], float]]:
-    """Return the readers of texts, where a number stands in their files, and absurd values for it."""
-    found = []
+def readers_by_output(only: str) -> list[Reader]:
+    """Return a reader for every command and every output of it, new or with what an earlier run left."""
+    found = {}
     for reader in readers_of(only):
+        words = reader.command.split()
+        where = [word for word in words if word.startswith(("OUT", "HERE")) or word == "--resume"]
+        found.setdefault((reader.verb, *where), reader)
+    return list(found.values())
+
+
+def cases_of_numbers(good: Path, only: str, most: int | None, seed: int) -> list[tuple[Reader, tuple[int, int], float]]:
+    """Return the readers of texts, where a number stands in their files, and absurd values for it.
+
+    most: how many each reader has, spread over places and values, which differ between readers; None for all.
+    """
+    found = []
+    for number, reader in enumerate(dict.fromkeys(readers_of(only))):
         if (good / reader.file).suffix in TEXTS:
             text = (good / reader.file).read_text(encoding="utf-8")
-            found += [(reader, at, value) for at in untrusted_mutations.fields(text) for value in ABSURD]
+            own = [(reader, at, value) for at in untrusted_mutations.fields(text) for value in ABSURD]
+            count = min(most or len(own), len(own))
+            shift = 0 if most is None else 7 * number + seed
+            found += [own[(k * len(own) // count + shift) % len(own)] for k in range(count)]
     return found
 
 

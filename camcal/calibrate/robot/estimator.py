@@ -25,8 +25,10 @@ from camcal.solve.steps import Factors, SingularError
 
 _DOF = 4.0  # of the Student distribution
 _INFORMATION = (_DOF + POSE + 2) / (_DOF + POSE)  # of a Gaussian pose over one of the Student distribution
-_CONSISTENT = 0.924  # of 6 coordinates, the mean of their weighted squares where all are Gaussian
+_NODES, _SHARES = np.polynomial.hermite_e.hermegauss(16)
 _PASSES, _SETTLED = 100, 1e-3
+_UPPER = 0.975  # of a distribution, where its 95 % interval ends
+_FEWEST_DOF = 3.0  # that an interval is taken to be of: noise with fewer is hardly any beside that of the camera
 _LEAST = (1e-7, 1e-7)  # m and rad: a robot that is exact
 _LEFT = 0.05  # of the coordinates of a pose, however many were spent
 _HIDDEN = 0.1  # of them: a robot whose noise cannot be told from none
@@ -112,14 +114,15 @@ def _estimate(problem: RobotProblem, state: RobotState) -> RobotEstimate:
         weights, before = problem.robot.weights, np.array(problem.robot.sigmas)
         squares = np.stack([np.sum(residuals[:, :3] ** 2, axis=1), np.sum(residuals[:, 3:] ** 2, axis=1)])
         dof = np.maximum(3.0 * count - spent.sum(axis=1), 3.0 * _LEFT * count)
-        sigmas = np.maximum(np.sqrt((weights * squares).sum(axis=1) / (_CONSISTENT * dof)), _LEAST)
         # what corners and the other poses leave of a pose's coordinates is smaller than its noise
         left = np.maximum(POSE - spent.sum(axis=0), POSE * _LEFT)
-        weights = (_DOF + POSE) / (_DOF + _as_of_six((squares / sigmas[:, None] ** 2).sum(axis=0), left))
+        sigmas = np.maximum(np.sqrt((weights / _consistency(left) * squares).sum(axis=1) / dof), _LEAST)
+        weights = _student_weights((squares / sigmas[:, None] ** 2).sum(axis=0), left)
         robot = replace(problem.robot, sigmas=(float(sigmas[0]), float(sigmas[1])), weights=weights)
         problem = replace(problem, rig=_with_noise(problem.rig, state, factors), robot=robot)
-        # noise that is far below what the corners leave open falls for ever: it is none
-        settled = (np.abs(np.log(sigmas / before)) < _SETTLED) | (dof <= 3.0 * _HIDDEN * count)
+        # noise counts by its share of the degrees of freedom; far below what the corners leave open it falls for ever
+        share = dof / (3.0 * count)
+        settled = (np.abs(np.log(sigmas / before)) * share < _SETTLED) | (share <= _HIDDEN)
         converged = bool(settled.all())
         if converged:
             break
@@ -139,14 +142,23 @@ def _estimate(problem: RobotProblem, state: RobotState) -> RobotEstimate:
     )
 
 
-def _as_of_six(squares: Array, dof: Array) -> Array:
-    """Return what is as likely of χ² with 6 degrees of freedom as squares (N,) of it with so many (N,).
+def _student_weights(squares: Array, dof: Array) -> Array:
+    """Return the weights of poses (N,) by what is as likely of χ² with 6 degrees of freedom as their squares of it with
+    so many (N,).
 
     Source: Wilson & Hilferty, Proceedings of the National Academy of Sciences 17, 1931.
     """
     spread, of_six = 2 / (9 * dof), 2 / (9 * POSE)
     deviations = (np.cbrt(squares / dof) - 1 + spread) / np.sqrt(spread)
-    return np.asarray(POSE * np.maximum(1 - of_six + deviations * np.sqrt(of_six), 0.0) ** 3)
+    return np.asarray((_DOF + POSE) / (_DOF + POSE * np.maximum(1 - of_six + deviations * np.sqrt(of_six), 0.0) ** 3))
+
+
+def _consistency(dof: Array) -> Array:
+    """Return the mean of Gaussian squares of so many degrees of freedom (N,) times their weights, over that without."""
+    spread = 2 / (9 * dof[:, None])
+    squares = dof[:, None] * np.maximum(1 - spread + np.sqrt(spread) * _NODES, 0.0) ** 3
+    weighted = squares * _student_weights(squares, np.broadcast_to(dof[:, None], squares.shape))
+    return np.asarray((weighted @ _SHARES) / (squares @ _SHARES))
 
 
 def _with_noise(rig: Any, state: RobotState, factors: Factors) -> Any:
@@ -201,6 +213,13 @@ def _residuals_and_spent(problem: RobotProblem, state: RobotState, factors: Fact
     return residuals, np.minimum(spent, 3.0).T
 
 
+def _widening(dof: Array) -> Array:
+    """Return by how much an interval of Student's distribution is wider than a Gaussian one, for degrees of freedom."""
+    from scipy.special import stdtrit
+
+    return np.asarray(stdtrit(np.maximum(dof, _FEWEST_DOF), _UPPER) / stdtrit(np.inf, _UPPER))
+
+
 def _covariance(problem: RobotProblem, state: RobotState, factors: Factors, dof: Array) -> tuple[Array, float]:
     """Return the covariance (S, S) of the shared parameters, of its own ones no less than the scatter from pose to pose
     says, and that scatter: its variance over what the noise says.
@@ -209,7 +228,7 @@ def _covariance(problem: RobotProblem, state: RobotState, factors: Factors, dof:
     estimated, with `dof` (2,) degrees of freedom, makes errors those of a t distribution.
     """
     claimed, size = factors.shared_covariance(), problem.own
-    shift, turn = np.array(problem.robot.sigmas) * np.sqrt(_INFORMATION * dof / np.maximum(dof - 2.0, 1.0))
+    shift, turn = np.array(problem.robot.sigmas) * np.sqrt(_INFORMATION) * _widening(dof)
     less = replace(problem, robot=replace(problem.robot, sigmas=(float(shift), float(turn))))
     covariance = minimise(less, state, _STOPPING).factors().shared_covariance()
     own = covariance[-size:, -size:]

@@ -198,7 +198,15 @@ def _warnings(result: TimeCalibration, sources: Sequence[_Source]) -> list[Messa
             text = f"readout time{_of(name)} not determined (± {1e3 * own.readout_std:.2g} ms): {alike}"
             found.append(Message("undetermined_readout_time", text, {"std_s": own.readout_std}))
         noise, free = estimate.problem.cameras[camera].sigma, sources[camera].camera.calibration.sigma_px
-        if estimate.stiff and noise > _STIFF * free:
+        left = estimate.unresolved[READOUT, camera]
+        if 2 * left**2 > own.readout_std**2 > 0:
+            text = (
+                f"motion too fast for the frame rate: frames do not show all of it, which is {1e3 * left:.2g} of the "
+                f"± {1e3 * own.readout_std:.2g} ms of the readout time{_of(name)}; move more slowly, or check the time "
+                "stamps"
+            )
+            found.append(Message("motion_too_fast", text, {"unresolved_s": left}))
+        elif estimate.stiff and noise > _STIFF * free:
             text = (
                 f"motion too fast for the frame rate: residuals{_of(name)} {noise:.2g} px about a smooth motion, "
                 f"{free:.2g} px otherwise; move more slowly, or check the time stamps"

@@ -1,6 +1,7 @@
 """Time offsets, clock rates and readout times of cameras before which a board moves.
 
-Knots of the motion stand closer and closer until closer ones explain no more than noise. Each camera's noise and which
+Knots of the motion stand closer and closer until closer ones explain no more than noise, or until frames do not hold
+them; what the last step has moved says how much is left, which the covariance includes. Each camera's noise and which
 of its corners count are taken from the residuals. The covariance is no less than the scatter from stretch to stretch of
 the recording says.
 """
@@ -23,6 +24,7 @@ from camcal.targets.board import CLASSES, Surface, basis, scale_unit
 _LOSS = Cauchy(3.0)
 _STOPPING = Stopping(relative_decrease=1e-6, iterations=40)
 _COARSEST, _FINEST = 4.0, 0.8  # frame intervals of a span
+_LEFT = 1 / 15  # of what the last step has moved: errors fall with the fourth power of a span's length
 _CERTAIN = 3.0  # standard deviations of what closer knots gain by chance
 _REJECTED = 4.5  # standard deviations of a corner that does not count
 _ROUNDS = 3  # of noise and weights
@@ -36,7 +38,7 @@ class TimeEstimate:
 
     covariance: (S, S) of the shared parameters, see TimeProblem. free_sigmas: px of each camera, the noise that its
     views have with poses of their own. interval: s, between frames. alignments: of all cameras. stiff: whether closer
-    knots would still explain more.
+    knots would still explain more. unresolved: (3, N) s, what knots that are too far apart leave of the times' errors.
     """
 
     problem: TimeProblem
@@ -48,6 +50,7 @@ class TimeEstimate:
     interval: float
     alignments: tuple[Alignment, ...]
     stiff: bool
+    unresolved: Array
     converged: bool
 
     def std(self, which: int, camera: int) -> float:
@@ -97,21 +100,24 @@ def estimate_times(
     points = surface.board.points() if surface.offsets is None else surface.board.points() + surface.offsets
     terms = basis(surface.board, surface.terms)
     problem = TimeProblem(tuple(cameras), points, terms, _term_std(surface), free, knots.spans, _LOSS)
-    solution, problem, stiff = _refine(problem, state, interval)
+    solution, problem, stiff, change = _refine(problem, state, interval)
     for _ in range(_ROUNDS):
         problem = _weigh(replace(problem, loss=None), solution.state)
         solution = minimise_chain(problem, solution.state, _STOPPING)
     covariance, scatter = _covariance(problem, solution)
+    columns, left = problem.time_columns[free], _LEFT * change[free]
+    by_times = covariance[:, columns] @ np.linalg.solve(covariance[np.ix_(columns, columns)], left)
     return TimeEstimate(
         problem,
         solution.state,
         references,
-        covariance=covariance,
+        covariance=covariance + np.outer(by_times, by_times),
         factors=solution.factors,
         scatter=scatter,
         interval=interval,
         alignments=tuple(alignments),
         stiff=stiff,
+        unresolved=_LEFT * np.abs(change),
         converged=solution.converged,
     )
 
@@ -128,8 +134,10 @@ def _term_std(surface: Surface) -> Array:
 
 def _refine(
     problem: TimeProblem, state: TimeState, interval: float
-) -> tuple[ChainSolution[TimeState], TimeProblem, bool]:
-    """Return the solution with knots as far apart as noise allows, and whether closer ones would explain more."""
+) -> tuple[ChainSolution[TimeState], TimeProblem, bool, Array]:
+    """Return the solution with knots as far apart as noise allows, whether closer ones would explain more, and by how
+    much the last step of knots has moved the times (3, N).
+    """
     solution = minimise_chain(problem, state, _STOPPING)
     while True:
         motion = solution.state.motion.refined()
@@ -138,10 +146,11 @@ def _refine(
         added = POSE * (motion.knots.spans - problem.spans)
         variance = _variance(finer, found)
         gain = 2 * (solution.cost - found.cost) / variance
+        moved = found.state.times - solution.state.times
         if gain < added + _CERTAIN * np.sqrt(2 * added):
-            return found, finer, False  # a level closer than noise calls for: what is left of stiffness is below it
+            return found, finer, False, moved  # a level closer than noise calls for: what is left is below it
         if motion.knots.step < 2 * _FINEST * interval:
-            return found, finer, True
+            return found, finer, True, moved
         solution, problem = found, finer
 
 
