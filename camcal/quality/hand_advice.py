@@ -14,7 +14,7 @@ from camcal.arrays import Array
 from camcal.cameras.directions import covariance_root
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
-from camcal.quality.view_advice import Known, SuggestedView, candidates, choose, suggested
+from camcal.quality.view_advice import Known, SuggestedView, candidates, choose, suggest
 from camcal.records import Brief
 
 
@@ -60,7 +60,7 @@ def advise_hand(known: Known, hand_eye: HandEye, count: int = 3) -> HandAdvice:
     metric = 2 * root.T @ (reach.T @ reach) @ root  # `choose` takes the mean of two directions
     order, stds = choose(root.T @ information @ root, metric, count)
     poses = [carried[index] if hand_eye.in_hand else carried[index].inverse() for index in order]
-    views = [suggested(found, index, std) for index, std in zip(order, stds, strict=True)]
+    views = [suggest(found, index, std) for index, std in zip(order, stds, strict=True)]
     chosen = [SuggestedPose(pose, view, std) for pose, view, std in zip(poses, views, stds, strict=True)]
     return HandAdvice(float(np.sqrt(np.trace(metric) / 2)), tuple(chosen))
 

@@ -125,7 +125,7 @@ def advise(known: Known, count: int = 3, seen: Sequence[tuple[BoardDetection, Po
     metric = root[:lens].T @ metric @ root[:lens]
     gains = root.T @ information @ root
     chosen, stds = choose(gains, metric, count)
-    views = [suggested(found, index, std) for index, std in zip(chosen, stds, strict=True)]
+    views = [suggest(found, index, std) for index, std in zip(chosen, stds, strict=True)]
     spared, rise = _spared(known, [*seen]) if len(seen) > _KEPT else ((), 0.0)
     return ViewAdvice(float(np.sqrt(np.trace(metric) / 2)), tuple(views), spared, rise)
 
@@ -141,7 +141,7 @@ def telling_view(known: Known, information: Array, axis: Array) -> SuggestedView
     free = free_parameters(known.camera)
     covariance = np.asarray(known.camera.covariance)[np.ix_(free, free)]
     seen = np.linalg.solve(np.eye(count) + total @ covariance, (total @ axis)[..., None])
-    return suggested(found, int(np.argmax(seen[..., 0] @ axis)), 0.0)
+    return suggest(found, int(np.argmax(seen[..., 0] @ axis)), 0.0)
 
 
 def _prior_root(known: Known) -> Array:
@@ -198,8 +198,8 @@ def choose(gains: Array, metric: Array, count: int) -> tuple[list[int], list[flo
     return order, stds
 
 
-def suggested(found: Candidates, index: int, std: float) -> SuggestedView:
-    """Return a candidate in words' figures, with the standard deviation after it."""
+def suggest(found: Candidates, index: int, std: float) -> SuggestedView:
+    """Return a candidate as a view to take: where the board is and how it is tilted; std: what is left after it."""
     lean, (u, v) = found.leans[index], found.centres[index].tolist()
     tilt = float(np.linalg.norm(lean))
     # a turn by a positive angle about the rows takes the lower edge, y > 0, away from the camera
