@@ -13,7 +13,7 @@ from camcal.calibrate.fit import CalibrationFit, ShapeOptions, averaged_fit, fit
 from camcal.calibrate.influence import influence
 from camcal.calibrate.jackknife import predict_views
 from camcal.calibrate.noise import REJECTED, row_medians
-from camcal.calibrate.problem import POSE, BoardProblem
+from camcal.calibrate.problem import BoardProblem
 from camcal.calibrate.refusals import (
     MIN_VIEWS,
     ROUGH,
@@ -164,8 +164,7 @@ def calibrate(
 ) -> Calibration:
     """Return the camera that saw a board in `detections`; start: as of `solve`, which says what is raised."""
     found = solve(detections, board, options, start)
-    covariances = pose_covariances(found.fit)
-    return record(found, covariances, between_views(found.fit.estimates, found.images))
+    return record(found, found.fit.pose_covariances(), between_views(found.fit.estimates, found.images))
 
 
 def solve(
@@ -244,7 +243,7 @@ def compare_models(
                     groups = two_cameras(brief, solved.images, size, own.shape, own.named_groups, by_lens=mixed)
                     solved = replace(solved, cameras=groups)
                 _require_plausible(fit, solved.images, own, len(detections), solved.cameras)
-                found = record(solved, pose_covariances(fit), BetweenViews())
+                found = record(solved, fit.pose_covariances(), BetweenViews())
                 result.append(replace(candidate, calibration=found))
                 plausible = plausible or fit
             except InsufficientData as error:
@@ -398,9 +397,3 @@ def record(solved: Solved, covariances: Array, between: BetweenViews) -> Calibra
         between_views=between,
         two_cameras=solved.cameras,
     )
-
-
-def pose_covariances(result: CalibrationFit) -> Array:
-    """Return the covariances (V, 6, 6) of a camera's poses: means over the estimates, each under the lens's own."""
-    own = [estimate.factors.group_covariances(POSE, result.covariance) for estimate in result.estimates]
-    return np.asarray(np.tensordot(result.weights, np.stack(own), axes=1))
