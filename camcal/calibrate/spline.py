@@ -25,7 +25,7 @@ from camcal.cameras.model import Camera
 from camcal.cameras.observations import Observations
 from camcal.cameras.spline import CUBIC, SplinedStereographic
 from camcal.cameras.spline_modes import ReducedSpline, reduced_spline
-from camcal.cameras.validity import border_pixels
+from camcal.cameras.validity import rim
 from camcal.errors import InsufficientData
 from camcal.solve.descent import Stopping
 from camcal.solve.least_squares import minimise
@@ -41,7 +41,8 @@ _ROUNDS, _SETTLED = 4, 0.1  # of the spread
 _FINE = Stopping(relative_decrease=1e-6, iterations=30)
 _LOSS = Cauchy(3.0)
 _WIDEST = 2 * np.tan(np.radians(345) / 4)  # half of the plane at most
-_MARGIN = 1.02  # of what the image shows, to be within the knots
+_MARGIN = 1.02  # of a corner's place, to be within the knots
+_AROUND = 1.08  # of the angle that the image shows: the end of the knots is no fold near the corners
 _BEYOND = 1.5  # of the outermost corner: no farther do the knots reach into an image that shows more
 _BLOCKS = 10  # of views, each predicted by the others
 _SEEN = 1e-6  # of the largest eigenvalue
@@ -135,13 +136,14 @@ def _robust_problem(other: Estimate) -> BoardProblem:
 
 def _splines(camera: Camera, problem: BoardProblem, state: State) -> list[SplinedStereographic]:
     """Return splines with few and with many knots over what the image and the corners show."""
-    rays = camera.unproject(border_pixels(*camera.image_size))
+    rays = camera.unproject(rim(camera)[0])
     both = (rays.directions[rays.valid], _corners(problem, state)[0])
     image, seen = (
         np.abs(2 * each[:, :2] / (np.linalg.norm(each, axis=1) + each[:, 2])[:, None]).max(axis=0, initial=0.0)
         for each in both
     )
-    reach = np.minimum(np.maximum(np.minimum(image, _BEYOND * seen), seen) * _MARGIN, _WIDEST)
+    shown = np.maximum(np.minimum(image, _BEYOND * seen), seen)
+    reach = 2 * np.tan(np.minimum(_AROUND * np.arctan(shown / 2), np.arctan(_WIDEST / 2)))
     found = []
     for size in _SIZES:
         per_unit = (size - CUBIC) / (2 * _MARGIN * seen.max())
