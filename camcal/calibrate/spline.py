@@ -36,6 +36,7 @@ from camcal.solve.steps import SingularError, lower_inverse
 _BASES = (WIDE_MODEL, DEFAULT_MODEL, "kannala_brandt5t")
 _CLEARLY = 1.5
 _SIZES = (8, 11, 15, 20)  # knots across the part of the plane that corners show
+_ALIKE = 1.0  # nat: of sizes that predict views alike, the coarsest is taken
 _SPREADS = np.geomspace(1e-6, 0.1, 51)  # of differences from the base lens, in units of the plane
 _ROUNDS, _SETTLED = 4, 0.1  # of the spread
 _FINE = Stopping(relative_decrease=1e-6, iterations=30)
@@ -113,14 +114,19 @@ def fit_spline(
     start = _robust_problem(other)
     camera = Camera(other.problem.model, image_size, other.state.parameters)
     splines = [model] if chosen else _splines(camera, start, other.state)
-    problem, state = _fitted(start, other.state, camera, splines[len(splines) > 1])
-    if len(splines) > 1:
+    place = int(len(splines) > 1)
+    problem, state = _fitted(start, other.state, camera, splines[place])
+    rest = splines if place else []
+    while len(rest) > 1:
         # all sizes are compared at the same place, with the noise of a lens that fits
         weighed = _as_weighed(problem, state)
-        found = [_evidence(_normal(*_of_spline(weighed, other.state, camera, spline))) for spline in splines]
-        best = splines[int(np.argmax([each.score for each in found]))]
-        if best != splines[1]:
-            problem, state = _fitted(replace(start, sigma=problem.sigma), other.state, camera, best)
+        found = [_evidence(_normal(*_of_spline(weighed, other.state, camera, spline))) for spline in rest]
+        scores = np.array([each.score for each in found])
+        best = rest[int(np.argmax(scores > scores.max() - _ALIKE))]
+        if best == problem.model.spline:
+            break
+        problem, state = _fitted(replace(start, sigma=problem.sigma), other.state, camera, best)
+        rest = splines[splines.index(best) :]  # with less noise finer ones may be better
     whole = replace(problem, observations=start.observations)
     return estimate(whole, state, other.additional, brief=True), turns
 

@@ -30,7 +30,7 @@ _AROUND, _FAR_WEIGHT = 1.05, 1e-3  # of the outermost corner; the base lens may 
 _RANGE = 4.0  # knots over which differences are correlated
 _FEWEST_SHARE = 1e-7  # of the largest eigenvalue: modes that corners hardly see
 _MOST_MODES = 60  # for each axis
-_RADIAL = 10.0  # by how much lenses differ from their base alike all around, over by how much they do to one side
+_RADIAL = 5.0  # by how much lenses differ from their base alike all around, over by how much they do to one side
 _TILE = 256  # points that are transposed at a time, which stay in the cache
 
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.calibrate.intrinsics import Calibration, CandidateModel
+from camcal.calibrate.shared_residuals import CELLS, cell_numbers
 from camcal.calibrate.view_records import names_of
 from camcal.cameras.directions import lens_difference
 from camcal.cameras.spline import SplinedStereographic
@@ -28,7 +29,7 @@ from camcal.quality.projection_uncertainty import (
     projection_uncertainty,
     with_bias,
 )
-from camcal.quality.residual_pattern import CELLS, Pattern, cell_numbers, find_patterns
+from camcal.quality.residual_pattern import Pattern, find_patterns
 from camcal.records import Brief
 from camcal.targets.board_types import BOARD_TYPES
 
