@@ -179,12 +179,48 @@ _INTRINSICS = separated("FX,FY,CX,CY in pixels, such as 1400,1400,959.5,539.5", 
 
 
 @dataclass(frozen=True)
+class ImagePart(OptionsRecord):
+    """Which part of a camera's images others are: crop (width, height, x, y), binning, scale_to, in this order."""
+
+    crop: Annotated[
+        tuple[int, int, int, int] | None,
+        Option(
+            "The images are this part of those that the camera is for: its size and its top-left pixel.",
+            metavar="WxH+X+Y",
+            group=INPUT,
+            type=CROP,
+        ),
+    ] = None
+    binning: Annotated[
+        int | None,
+        Option(
+            "So many pixels a side of the camera's images, after --crop, are one of these.",
+            metavar="N",
+            group=INPUT,
+            least=1,
+        ),
+    ] = None
+    scale_to: Annotated[
+        tuple[int, int] | None,
+        Option(
+            "Size that the camera's images, after --crop and --binning, were resized to.",
+            metavar="WxH",
+            group=INPUT,
+            type=SIZE,
+        ),
+    ] = None
+
+
+WHOLE = ImagePart()
+
+
+@dataclass(frozen=True)
 class GivenCamera(OptionsRecord):
     """A camera in place of a file, and what a file may not say of one.
 
     camera_matrix: fx, fy, cx, cy, pixels; None for a file. distortion: OpenCV's coefficients. size: (width, height) of
     the images, None for that of the first one. model: the lens model of four coefficients, which may be a fisheye's.
-    crop (width, height, x, y), binning, scale_to: which part of its images others are, in this order.
+    part: which part of its images others are.
     """
 
     camera_matrix: Annotated[
@@ -218,33 +254,7 @@ class GivenCamera(OptionsRecord):
             group=INPUT,
         ),
     ] = None
-    crop: Annotated[
-        tuple[int, int, int, int] | None,
-        Option(
-            "The images are this part of those that the camera is for: its size and its top-left pixel.",
-            metavar="WxH+X+Y",
-            group=INPUT,
-            type=CROP,
-        ),
-    ] = None
-    binning: Annotated[
-        int | None,
-        Option(
-            "So many pixels a side of the camera's images, after --crop, are one of these.",
-            metavar="N",
-            group=INPUT,
-            least=1,
-        ),
-    ] = None
-    scale_to: Annotated[
-        tuple[int, int] | None,
-        Option(
-            "Size that the camera's images, after --crop and --binning, were resized to.",
-            metavar="WxH",
-            group=INPUT,
-            type=SIZE,
-        ),
-    ] = None
+    part: ImagePart = WHOLE
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -339,6 +349,7 @@ class InspectOptions(OptionsRecord):
     layout: GivenLayout = NO_LAYOUT
     gates: CameraGates = NO_GATES
     measured: MeasuredAt = NOWHERE
+    part: ImagePart = WHOLE
     overwrite: Overwrite = False
 
     @property
@@ -375,6 +386,7 @@ class PlotOptions(OptionsRecord):
             required=True,
         ),
     ] = None
+    part: ImagePart = WHOLE
     kind: FigureType = FIGURE_TYPES[0]
     theme: Annotated[
         str, Option("Colours: dark on light, or light on dark.", metavar="|".join(THEMES), group=OUTPUT, choices=THEMES)

@@ -36,6 +36,7 @@ from camcal.simulate.scene import Truth, captures, make_camera, motion, observe,
 from camcal.targets.board import Board, Surface
 from camcal.targets.detection import Detections
 from camcal.targets.pattern import pattern_of
+from camcal.tasks.given_camera import read_part
 from camcal.tasks.simulation.frames import clear_frames, fixed_pattern, how_made, take_frames, truth_entry
 from camcal.tasks.simulation.options import SimulateOptions
 
@@ -113,7 +114,7 @@ def _rig(options: SimulateOptions, progress: Progress) -> CameraFile | None:
     if options.camera is None:
         return None
     path, name = split_address(options.camera)
-    file = cameras.read(path, progress)
+    file = read_part(path, options.part, progress)
     if options.name or name or len(file.cameras) < MIN_CAMERAS:
         return None
     _require_no_lens(options)
@@ -168,7 +169,7 @@ def _camera(options: SimulateOptions, progress: Progress) -> Camera:
         )
     _require_no_lens(options)
     path, name = split_address(options.camera)
-    known = cameras.select(cameras.read(path, progress), options.name or name, str(path)).camera
+    known = cameras.select(read_part(path, options.part, progress), options.name or name, str(path)).camera
     return Camera(known.model, known.image_size, known.parameters)
 
 
