@@ -203,8 +203,7 @@ class Framing:
 def framed(file: CameraFile, framing: Framing) -> CameraFile:
     """Return a file for other images, with all covariances.
 
-    Figures in pixels of the usual images (residuals, uncertainty, regions) are left out; the noise is kept where only a
-    part is cut out.
+    Figures in pixels of the usual images (residuals, uncertainty, regions; noise but of a crop) are left out.
     Raises InvalidInput as `Framing.of` does.
     """
     if framing == Framing():

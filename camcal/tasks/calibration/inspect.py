@@ -21,9 +21,10 @@ from camcal.run.outputs import writes
 from camcal.targets.board import CLASSES, RATIOS, Surface
 from camcal.tasks.gates import stated
 from camcal.tasks.given_camera import read_part
-from camcal.tasks.options import WHOLE, ImagePart, InspectOptions
+from camcal.tasks.options import WHOLE, ImagePart
 from camcal.tasks.rigs.inspect_rig import RigInspection, draw_rig, inspect_rig
 from camcal.tasks.rigs.inspect_rig import as_data as rig_data
+from camcal.tasks.show_options import InspectOptions
 
 if TYPE_CHECKING:
     from camcal.tasks.calibration.errors_at_range import RangeErrors

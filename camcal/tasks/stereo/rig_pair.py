@@ -45,7 +45,6 @@ from camcal.stereo.rectify.record import Rectification, rectified_covariance
 from camcal.tasks.given_camera import Size, read_camera_file, view_outside_region
 from camcal.tasks.options import (
     CAMERA_SUFFIXES,
-    WHOLE,
     GivenCamera,
     ImagePart,
 )
@@ -157,10 +156,7 @@ def read_rig(
 
 
 def unrectified_pair(
-    address: str | None,
-    camera: str | None,
-    size_of_images: Callable[[], Size | None],
-    part: ImagePart = WHOLE,
+    address: str | None, camera: str | None, size_of_images: Callable[[], Size | None], part: ImagePart
 ) -> RigPair | None:
     """Return two cameras of a camera file that are no rectified pair and how they are rectified.
 
@@ -192,8 +188,8 @@ def _unrectified(
     path, named = split_address(address)
     if path.suffix.lower() not in CAMERA_SUFFIXES:
         return None
-    file = read_camera_file(str(path), GivenCamera(part=part), size_of_images=size_of_images)
-    rig = _choose(file, _names(camera or named), path)
+    given = GivenCamera(part=part)
+    rig = _choose(read_camera_file(str(path), given, SILENT, size_of_images), _names(camera or named), path)
     return None if rig is None or rig.why_not_rectified is None else rig
 
 
