@@ -7,12 +7,12 @@ from typing import Any
 
 from camcal.errors import InvalidInput
 from camcal.formats import cameras
+from camcal.formats.addresses import split_address
 from camcal.formats.camera_file import CameraFile
 from camcal.quality.range_uncertainty import CameraErrors, ErrorSize, camera_errors
 from camcal.quality.rig_geometry import DISPARITY_PX, PairErrors, pair_errors
 from camcal.records import Brief
 from camcal.report.table import Column
-from camcal.run.paths import split_address
 from camcal.tasks.rigs.inspect_rig import RigInspection, inspect_rig
 
 COLUMNS = (
