@@ -107,12 +107,13 @@ def field_of_view(camera: Camera, circle: ImageCircle | None = None) -> tuple[fl
 
 def field_and_fold(camera: Camera, circle: ImageCircle | None = None) -> tuple[float, Fold]:
     """Return the horizontal field of view of `field_of_view`, and what `folds_inside` does, of one unprojection."""
-    edges = _edges(camera, circle)
+    edges = _edges(camera, circle)[:2]
     border = border_pixels(*camera.image_size)
     border = border if circle is None else circle.clipped(np.array([camera.value("cx"), camera.value("cy")]), border)
-    rays = camera.unproject(np.concatenate([edges, border]))
-    _, fold = rim(camera, circle=circle, nearest_only=True, seen=rays.valid[len(edges) :])
-    return _fields(rays.directions[: len(edges)])[0], fold
+    radial = _is_radial(camera)  # where it folds, its domain says
+    rays = camera.unproject(edges if radial else np.concatenate([edges, border]))
+    _, fold = rim(camera, circle=circle, nearest_only=True, seen=None if radial else rays.valid[2:])
+    return float(_openings(rays.directions[None, :2])[0]), fold
 
 
 def _edges(camera: Camera, circle: ImageCircle | None) -> Array:
@@ -190,13 +191,18 @@ def _radial_shares(camera: Camera, reach: Array) -> Array | None:
 
     None for any other lens.
     """
-    values = dict(zip(camera.model.parameter_names, camera.parameters.tolist(), strict=True))
-    if camera.model.is_view or "k1" not in values or any(values[name] for name in values if name[0] not in "fck"):
+    if not _is_radial(camera):
         return None
-    focal = values["fx"], values["fy"]
+    focal = camera.value("fx"), camera.value("fy")
     largest = camera.model.domain(camera.parameters).max_radius_px / min(focal)
     radii = np.hypot(*(reach / focal).T)
     return np.asarray(np.where(radii < largest, 1.0, (1 - _INSIDE) * largest / np.maximum(radii, _INSIDE)))
+
+
+def _is_radial(camera: Camera) -> bool:
+    """Return whether the distortion is along the radius alone, with as many terms as there are."""
+    values = dict(zip(camera.model.parameter_names, camera.parameters.tolist(), strict=True))
+    return not camera.model.is_view and "k1" in values and not any(values[key] for key in values if key[0] not in "fck")
 
 
 @lru_cache(maxsize=8)  # files of one size come many at a time

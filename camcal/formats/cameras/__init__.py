@@ -67,11 +67,11 @@ def read(
     second: the other file of a pair, where it is written as two.
     Raises InvalidInput for every rule it breaks, MissingSize if nothing says the size of the images, FileError.
     """
-    path, named = split_address(str(path)) if address_of(Path(path)) is None else (Path(path), None)
-    sources = [source for each in (path, second) if each is not None for source in _sources_of(each)]
+    is_bag = address_of(Path(path)) is not None
+    path, named = (Path(path), None) if is_bag else split_address(str(path))
+    sources = [*(_sources_of_bag(path) if is_bag else [_file(path)]), *([] if second is None else [source_of(second)])]
     known = _recognised(sources[0])
     form = known or FORMATS[OWN]
-    is_bag = address_of(path) is not None
     if len(sources) > form.files and not is_bag:
         raise InvalidInput(f"--with {second}: the cameras of a {form.title} file are all in one", where=str(path))
     if len(sources) > 1 and _recognised(sources[1]) != form:
@@ -112,10 +112,8 @@ def _of_topics(form: CameraFormat, sources: Sequence[Source], given: Given) -> C
     return CameraFile(cameras, warnings=tuple(warning for file in found for warning in file.warnings))
 
 
-def _sources_of(path: Path) -> list[Source]:
-    """Return a file with its text, of a bag every camera_info as the text of ROS's file; raises FileError."""
-    if address_of(path) is None:
-        return [source_of(path)]
+def _sources_of_bag(path: Path) -> list[Source]:
+    """Return every camera_info of a bag as the text of ROS's file; raises FileError."""
     from camcal.formats.cameras.ros import text_of
     from camcal.images.bag import camera_infos
 
@@ -125,8 +123,10 @@ def _sources_of(path: Path) -> list[Source]:
 
 def source_of(path: Path) -> Source:
     """Return a file with its text, of a bag its first camera_info; raises FileError if it cannot be read."""
-    if address_of(path) is not None:
-        return _sources_of(path)[0]
+    return _file(path) if address_of(path) is None else _sources_of_bag(path)[0]
+
+
+def _file(path: Path) -> Source:
     content = files.read_bytes(path, _LARGEST)
     try:
         return Source(path, content.decode("utf-8-sig"))
