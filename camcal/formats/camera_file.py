@@ -44,7 +44,8 @@ class ValidRegion:
     def of(cls, camera: Camera, circle: ImageCircle | None = None) -> "ValidRegion":
         """Return how far a camera's model is one-to-one within its image, or within its image circle."""
         limits = valid_block(camera, circle)
-        return cls(math.radians(limits["max_theta_deg"]), limits["max_radius_px"], image_circle=circle)
+        theta = math.radians(limits["max_theta_deg"]) if camera.model.is_central else None
+        return cls(theta, limits["max_radius_px"], image_circle=circle)
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from camcal.quality.rig_geometry import DISPARITY_PX, PairErrors, pair_errors
 from camcal.records import Brief
 from camcal.report.table import Column
 from camcal.run.paths import split_address
+from camcal.tasks.given_camera import central_file
 from camcal.tasks.rigs.inspect_rig import RigInspection, inspect_rig
 
 COLUMNS = (
@@ -51,7 +52,7 @@ def errors_at_range(
     where = ""
     if not isinstance(calibration, CameraFile):
         path, named = split_address(str(calibration))
-        calibration, where, camera = cameras.read(path), str(path), camera or named
+        calibration, where, camera = central_file(cameras.read(path), path), str(path), camera or named
     if not distance > 0 or not (length is None or length > 0):
         raise InvalidInput(f"distances and lengths are positive; found {distance:g} and {length or 0:g} m")
     if camera is not None:
