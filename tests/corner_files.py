@@ -29,16 +29,16 @@ def grids(seen):
     return np.stack([view.pixels.reshape(BOARD.rows, BOARD.columns, 2) for view in seen])
 
 
-def matlab(path, seen, **more):
+def matlab(path, seen, save=savemat, **more):
     """Write what detectCheckerboardPoints and generateCheckerboardPoints give: down the columns, from 1."""
     down = grids(seen).transpose(0, 2, 1, 3).reshape(len(seen), -1, 2)
     x, y = np.meshgrid(np.arange(9), np.arange(6))
     world = 25.0 * np.column_stack([x.T.ravel(), y.T.ravel()])
-    savemat(path, {"imagePoints": down.transpose(1, 2, 0) + 1, "worldPoints": world, **more})
+    save(path, {"imagePoints": down.transpose(1, 2, 0) + 1, "worldPoints": world, **more})
     return path
 
 
-def bouguet(path, seen):
+def bouguet(path, seen, save=savemat):
     """Write calib_data.mat: y upwards from the first corner, mm, and an image without corners."""
     x, y = np.meshgrid(np.arange(9), np.arange(5, -1, -1))
     points = 25.0 * np.stack([x.ravel(), y.ravel(), 0 * x.ravel()])
@@ -46,7 +46,7 @@ def bouguet(path, seen):
     for number, grid in enumerate(grids(seen), 1):
         data |= {f"x_{number}": grid.reshape(-1, 2).T, f"X_{number}": points, f"n_sq_x_{number}": 8.0}
     data |= {f"x_{len(seen) + 1}": np.full((2, 1), np.nan), f"X_{len(seen) + 1}": np.full((3, 1), np.nan)}
-    savemat(path, data)
+    save(path, data)
     return path
 
 

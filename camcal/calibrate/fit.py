@@ -22,7 +22,7 @@ from camcal.calibrate.initialise import (
 )
 from camcal.calibrate.jackknife import averaged, covariance_of, image_metric, weights_of
 from camcal.calibrate.noise import CUT, REJECTED, robust_sigma
-from camcal.calibrate.problem import BoardProblem, State
+from camcal.calibrate.problem import POSE, BoardProblem, State
 from camcal.calibrate.shape import hold_to_print, odd_terms
 from camcal.cameras.catalogue import WIDE_MODEL
 from camcal.cameras.directions import direction_displacements, in_hull
@@ -110,6 +110,11 @@ class CalibrationFit:
             return model.camera(size, parameters, full)
         fixed = tuple(name for index, name in enumerate(model.parameter_names) if index not in free)
         return Camera(model, size, parameters, full, fixed)
+
+    def pose_covariances(self) -> Array:
+        """Return the covariances (V, 6, 6) of the poses: means over the estimates, each under the lens's own."""
+        own = [each.factors.group_covariances(POSE, self.covariance) for each in self.estimates]
+        return np.asarray(np.tensordot(self.weights, np.stack(own), axes=1))
 
 
 def fit(plain: Estimate, turns: Array, image_size: tuple[int, int]) -> CalibrationFit:

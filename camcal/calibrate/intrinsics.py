@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 
-from camcal.arrays import Array, FloatArray, readonly
+from camcal.arrays import Array, FloatArray, IntArray, readonly
 from camcal.calibrate.between_views import BetweenViews, between_views
 from camcal.calibrate.estimator import Estimate
 from camcal.calibrate.evidence import WithinViews
@@ -13,7 +13,7 @@ from camcal.calibrate.fit import CalibrationFit, ShapeOptions, averaged_fit, fit
 from camcal.calibrate.influence import influence
 from camcal.calibrate.jackknife import predict_views
 from camcal.calibrate.noise import REJECTED, row_medians
-from camcal.calibrate.problem import POSE, BoardProblem
+from camcal.calibrate.problem import BoardProblem
 from camcal.calibrate.refusals import (
     MIN_VIEWS,
     ROUGH,
@@ -66,7 +66,8 @@ class Calibration(Brief):
     """A camera with its covariance, the board's shape, and the record of every view and rejected corner.
 
     sigma_px: standard deviation of one pixel coordinate, estimated with these degrees_of_freedom (parameters deducted).
-    rms_px: root mean square distance of the kept corners. residuals, pixels: (N, 2) of the kept corners, px.
+    rms_px: root mean square distance of the kept corners. residuals, pixels: (N, 2) of the kept corners, px;
+    corner_views: (N,) the places of their views among the views.
     correlations: between the board's in-plane terms and fx, fy, where the former are in use.
     model_error_px: the error of a typical coordinate beyond the covariance that its image gives it, errors that repeat
     with the pixels included; None where no covariance was given.
@@ -87,6 +88,7 @@ class Calibration(Brief):
     rms_px: float
     residuals: FloatArray
     pixels: FloatArray
+    corner_views: IntArray
     iterations: int
     correlations: Mapping[tuple[str, str], float] = field(default_factory=dict)
     model_error_px: float | None = None
@@ -109,7 +111,8 @@ class CandidateModel(Brief):
 
     reason: why it has no score, None if it has. calibration: a brief one with this model, None where it would be
     refused. map_px: RMS standard deviation of the projection over the image, once it was assessed. failures: codes of
-    why it is refused, or of the criteria that it does not meet.
+    why it is refused, or of the criteria that it does not meet. pattern: whether its residuals depend on the place in
+    the image, once it was assessed.
     """
 
     name: str
@@ -120,6 +123,7 @@ class CandidateModel(Brief):
     calibration: Calibration | None = None
     map_px: float | None = None
     failures: tuple[str, ...] = ()
+    pattern: bool = False
 
     @property
     def score(self) -> float:
@@ -160,8 +164,7 @@ def calibrate(
 ) -> Calibration:
     """Return the camera that saw a board in `detections`; start: as of `solve`, which says what is raised."""
     found = solve(detections, board, options, start)
-    covariances = pose_covariances(found.fit)
-    return record(found, covariances, between_views(found.fit.estimates, found.images))
+    return record(found, found.fit.pose_covariances(), between_views(found.fit.estimates, found.images))
 
 
 def solve(
@@ -240,7 +243,7 @@ def compare_models(
                     groups = two_cameras(brief, solved.images, size, own.shape, own.named_groups, by_lens=mixed)
                     solved = replace(solved, cameras=groups)
                 _require_plausible(fit, solved.images, own, len(detections), solved.cameras)
-                found = record(solved, pose_covariances(fit), BetweenViews())
+                found = record(solved, fit.pose_covariances(), BetweenViews())
                 result.append(replace(candidate, calibration=found))
                 plausible = plausible or fit
             except InsufficientData as error:
@@ -372,6 +375,7 @@ def record(solved: Solved, covariances: Array, between: BetweenViews) -> Calibra
         kept=kept,
         medians=medians,
     )
+    places = np.flatnonzero([reason is None for reason in reasons])
     return Calibration(
         camera,
         problem.board,
@@ -383,6 +387,7 @@ def record(solved: Solved, covariances: Array, between: BetweenViews) -> Calibra
         rms_px=float(np.sqrt(np.mean(np.sum(residuals[:, kept] ** 2, axis=0)))),
         residuals=readonly(residuals[:, kept].T, (None, 2), "residuals"),
         pixels=readonly(problem.observations.pixels[:, kept].T, (None, 2), "pixels"),
+        corner_views=readonly(places[np.nonzero(kept)[0]], (None,), "corner_views", np.intp),
         iterations=sum(own.passes for own in result.estimates),
         correlations=focal_correlations(problem.shared_names, covariance),
         model_error_px=plain.model_error_px,
@@ -392,9 +397,3 @@ def record(solved: Solved, covariances: Array, between: BetweenViews) -> Calibra
         between_views=between,
         two_cameras=solved.cameras,
     )
-
-
-def pose_covariances(result: CalibrationFit) -> Array:
-    """Return the covariances (V, 6, 6) of a camera's poses: means over the estimates, each under the lens's own."""
-    own = [estimate.factors.group_covariances(POSE, result.covariance) for estimate in result.estimates]
-    return np.asarray(np.tensordot(result.weights, np.stack(own), axes=1))

@@ -50,6 +50,7 @@ MODELS = _Models()
 
 DEFAULT_MODEL = "opencv5"  # of a lens of which nothing is known
 WIDE_MODEL = "kannala_brandt4"  # holds narrow and wide lenses alike
+SPLINE_MODEL = "splined_stereographic"  # holds what no parametric one does
 
 
 def model_named(name: str) -> CameraModel:

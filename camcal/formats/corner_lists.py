@@ -10,8 +10,6 @@ Source: detectCheckerboardPoints; saving_calib.m and click_calib.m; BoardObserva
 """
 
 import re
-import struct
-import zlib
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -52,7 +50,7 @@ def read(path: Path, board: Board | None, image_size: ImageSize | None = None) -
             images, told, metres = reader(content) if reader else ({}, None, None)
             size = told and (int(told[0]), int(told[1]))
             images = {name: each for name, each in images.items() if np.isfinite(each[1]).any()}
-        except (ValueError, LookupError, TypeError, AttributeError, OverflowError, struct.error, zlib.error) as error:
+        except (ValueError, LookupError, TypeError, AttributeError, OverflowError) as error:
             raise FileError("a damaged or truncated corner list") from error
         if not images:
             known = "imagePoints of MATLAB, x_1 of Bouguet's calib_data.mat, observations of PhotonVision, .orpc files"
@@ -104,8 +102,6 @@ def _turn(cells: Array, pixels: Array) -> float:
 
 
 def _mat(content: bytes) -> _Told:
-    if content.startswith(b"MATLAB 7.3"):
-        raise InvalidInput("is a MAT-file of version 7.3 (HDF5): save it with save(…, '-v7')")
     from camcal.formats.cameras import mat  # here, since it loads what reads camera files
 
     data = mat.variables(content)

@@ -6,8 +6,6 @@ array of them, 4 x 4 x N or a row each.
 """
 
 import re
-import struct
-import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
@@ -18,7 +16,7 @@ import numpy as np
 
 from camcal import files
 from camcal.arrays import Array
-from camcal.errors import FileError, InvalidInput
+from camcal.errors import FileError, InvalidInput, Located
 from camcal.formats.documents import parse_foreign
 from camcal.formats.pose_text import Form
 from camcal.geometry.rotation import EulerOrder
@@ -97,12 +95,8 @@ def _of_matlab(path: Path) -> Array:
     """Return the numbers (N, k) of the one array of a MATLAB file that can be poses; raises FileError, InvalidInput."""
     from camcal.formats.cameras import mat  # here, since it loads what reads camera files
 
-    content = files.read_bytes(path, _LARGEST)
-    try:
-        variables = mat.variables(content)
-    except (ValueError, IndexError, OverflowError, struct.error, zlib.error) as error:
-        text = "is truncated, or not a MAT-file of version 5 to 7: save it with save(…, '-v7')"
-        raise FileError(text, where=str(path)) from error
+    with Located(path):
+        variables = mat.variables(files.read_bytes(path, _LARGEST))
     found = {name: rows for name, value in variables.items() if (rows := _of_array(value)) is not None}
     if len(found) != 1:
         listed = f"poses in several variables: {', '.join(found)}" if found else "no array 4 x 4 x N or N x 6 of poses"

@@ -12,7 +12,7 @@ from statistics import NormalDist
 
 import numpy as np
 
-from camcal.arrays import Array, FloatArray
+from camcal.arrays import Array
 from camcal.calibrate.intrinsics import Calibration, CandidateModel
 from camcal.calibrate.view_records import names_of
 from camcal.cameras.directions import lens_difference
@@ -26,13 +26,11 @@ from camcal.quality.projection_uncertainty import (
     known_region,
     projection_uncertainty,
     with_bias,
-    with_pattern,
 )
+from camcal.quality.residual_pattern import CELLS, Pattern, cell_numbers, find_patterns
 from camcal.records import Brief
-from camcal.solve.losses import chi_square_beyond
 from camcal.targets.board_types import BOARD_TYPES
 
-_CHANCE = 1e-6  # of residuals that follow the radius by so much, if the lens model were right
 # Views: a standard deviation from the scatter of fewer is not well known itself, and counts by the half width of its
 # interval of this probability under Student's distribution, over that under the normal one.
 _FEW_FOR_SCATTER, _INTERVAL = 10, 0.95
@@ -51,8 +49,6 @@ _EXACT_PX = 1e-6  # what a projection is known to at best, where all parameters 
 _MOSTLY = 0.5  # of a view's corners
 _TILTED_DEG = 20.0  # of the board in some view: beyond it, more tilt is not what is missing
 _BOARD_LENGTHS = (1e-3, CRITERIA["board_scale"].limit)  # m, between targets of microscopes and sides of buildings
-_CELLS = (10, 8)
-_RINGS = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,11 +81,12 @@ def assess(
     circle: the image circle, where there is one: the lens is not assessed outside of it. candidates: other lens models
     that were tried, in their order, which are named where the one in use does not do; the one in use may be among them.
     """
-    camera, trend = calibration.camera, radial_trend(calibration)
+    camera = calibration.camera
     uncertainty = projection_uncertainty(camera, observed=calibration.pixels, circle=circle)
     stated_px = uncertainty.figures().get("inside_rms_px", 0.0)
-    if trend.chance < _CHANCE:
-        uncertainty = with_pattern(uncertainty, _centre(calibration), trend.radii, trend.means)
+    patterns = find_patterns(calibration, uncertainty.pixels, stated_px)
+    if patterns:
+        uncertainty = with_bias(uncertainty, patterns[-1].bias)
     bias, better = np.zeros((len(uncertainty.pixels), 2)), better_model(camera.model.name, candidates)
     if better is not None and better.calibration is not None:
         bias = lens_difference(camera, better.calibration.camera, uncertainty.pixels, uncertainty.inside)
@@ -102,7 +99,7 @@ def assess(
     parts = (
         partial(_fold, circle=circle, others=others),
         _cameras,
-        partial(_lens_model, trend=trend, stated_px=stated_px, others=others),
+        partial(_lens_model, patterns=patterns, stated_px=stated_px, others=others),
         partial(_better_model, better=better, candidates=candidates, bias=bias[uncertainty.inside]),
         _views,
         partial(_coverage, circle=circle),
@@ -137,7 +134,8 @@ def _judge_one(own: CandidateModel, circle: ImageCircle | None) -> CandidateMode
     lit = found.std_rms if circle is None else found.std_rms[circle.contains(found.pixels)]
     std = np.where(np.isfinite(lit), lit, _NO_RAY * float(np.hypot(*size)))
     failures = tuple(message.code for message in assessment.failures)
-    return replace(own, map_px=float(np.sqrt(np.mean(std**2))), failures=failures)
+    pattern = any(message.code in ("lens_model", "residual_pattern") for message in assessment.messages)
+    return replace(own, map_px=float(np.sqrt(np.mean(std**2))), failures=failures, pattern=pattern)
 
 
 def _limit(code: str) -> float:
@@ -172,21 +170,27 @@ def _cameras(calibration: Calibration) -> Iterator[Message]:
         yield message(code, f"{found.words}{together}", found.ratio, found.groups[1])
 
 
-def _lens_model(calibration: Calibration, trend: "Trend", stated_px: float, others: str) -> Iterator[Message]:
-    """Yield that residuals depend on the distance from the centre: a failure where that is more than the uncertainty of
-    the map says, else a warning.
+def _lens_model(
+    calibration: Calibration, patterns: Sequence[Pattern], stated_px: float, others: str
+) -> Iterator[Message]:
+    """Yield that residuals depend on the place in the image: a failure where that is more than the uncertainty of the
+    map says, else a warning.
     """
-    name, size = calibration.camera.model.name, abs(trend.largest_px)
+    name = calibration.camera.model.name
     least = max(_limit("residual_pattern") * calibration.sigma_px, CRITERIA["residual_pattern"].minimum_px)
-    if trend.chance >= _CHANCE or size <= least:
+    most = max(_limit("lens_model") * stated_px, CRITERIA["lens_model"].minimum_px)
+    found = sorted((each for each in patterns if each.largest_px > least), key=lambda each: each.largest_px <= most)
+    if not found:
         return
-    way = "outwards" if trend.largest_px > 0 else "inwards"
-    text = f"residuals point {way} by {size:.2f} px at {trend.ring[0]:.0f} to {trend.ring[1]:.0f} px from the centre: "
-    if size > max(_limit("lens_model") * stated_px, CRITERIA["lens_model"].minimum_px):
-        text += f"{name} does not fit this lens" + (f"; {others}" if others else ", try another --model")
+    size = found[0].largest_px
+    if size > most:
+        text = f"{found[0].words}: {name} does not fit this lens" + (
+            f"; {others}" if others else ", try another --model"
+        )
         yield message("lens_model", text, size / max(stated_px, _EXACT_PX))
     else:
-        yield message("residual_pattern", f"{text}included in the projection uncertainty", size / calibration.sigma_px)
+        text = f"{found[0].words}: included in the projection uncertainty"
+        yield message("residual_pattern", text, size / calibration.sigma_px)
 
 
 def _better_model(
@@ -329,19 +333,6 @@ def _board(calibration: Calibration) -> Iterator[Message]:
             yield message("correlation", text, abs(value))
 
 
-@dataclass(frozen=True, eq=False)
-class Trend:
-    """Mean radial residual (px, outwards positive) in the ring where it is largest, and the chance of such a pattern
-    if the lens model were right; means (R,) px: those of all rings, at radii (R,) px.
-    """
-
-    largest_px: float
-    ring: tuple[float, float]
-    chance: float
-    radii: FloatArray
-    means: FloatArray
-
-
 def coverage(calibration: Calibration, circle: ImageCircle | None = None) -> tuple[float, float]:
     """Return the share of a 10 × 8 grid of the image with a kept corner in it, and how far out corners reach.
 
@@ -350,39 +341,16 @@ def coverage(calibration: Calibration, circle: ImageCircle | None = None) -> tup
     """
     width, height = calibration.camera.image_size
     pixels = calibration.pixels
-    cell = np.array([width, height]) / _CELLS
-    places = np.clip((pixels + 0.5) // cell, 0, np.array(_CELLS) - 1).astype(int)
-    middles = (np.stack(np.meshgrid(*map(np.arange, _CELLS), indexing="ij"), axis=-1) + 0.5) * cell - 0.5
-    shown = np.ones(_CELLS, bool) if circle is None else circle.contains(middles)
-    shown[places[:, 0], places[:, 1]] = True
-    cells = len(np.unique(places, axis=0)) / np.count_nonzero(shown)
+    middles = (np.stack(np.meshgrid(*map(np.arange, CELLS), indexing="ij"), axis=-1) + 0.5) * [width, height] / CELLS
+    covered = np.unique(cell_numbers(pixels, (width, height)))
+    shown = np.ones(CELLS[0] * CELLS[1], bool) if circle is None else circle.contains(middles - 0.5).ravel()
+    shown[covered] = True
+    cells = len(covered) / np.count_nonzero(shown)
     corners = np.array([[x, y] for x in (-0.5, width - 0.5) for y in (-0.5, height - 0.5)])
     centre = _centre(calibration)
     corners = corners if circle is None else circle.clipped(centre, corners)
     farthest = np.linalg.norm(corners - centre, axis=1).max()
     return cells, float(np.linalg.norm(pixels - centre, axis=1).max() / farthest)
-
-
-def radial_trend(calibration: Calibration) -> Trend:
-    """Return whether residuals point inwards or outwards by distance from the centre, as a wrong lens model's do."""
-    offset = calibration.pixels - _centre(calibration)
-    radius = np.linalg.norm(offset, axis=1)
-    radial = np.einsum("ni,ni->n", calibration.residuals, offset) / np.maximum(radius, 1e-9)
-    edges = np.quantile(radius, np.linspace(0, 1, _RINGS + 1))
-    ring = np.clip(np.searchsorted(edges, radius, side="right") - 1, 0, _RINGS - 1)
-    counts = np.maximum(np.bincount(ring, minlength=_RINGS), 1)
-    means = np.bincount(ring, radial, _RINGS) / counts
-    # corners of one view share its errors, so a ring holds fewer independent values than corners
-    per_view = max(len(radius) / max(len(calibration.used), 1) / _RINGS, 1.0)
-    statistic = float(np.sum(means**2 * counts / per_view)) / calibration.sigma_px**2
-    worst = int(np.argmax(np.abs(means)))
-    return Trend(
-        float(means[worst]),
-        (float(edges[worst]), float(edges[worst + 1])),
-        chi_square_beyond(statistic, _RINGS),
-        radii=(edges[:-1] + edges[1:]) / 2,
-        means=means,
-    )
 
 
 def _centre(calibration: Calibration) -> Array:

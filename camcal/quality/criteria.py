@@ -56,7 +56,7 @@ _ALL = (
         3.0,
         "projection uncertainty",
         "the mean radial residual of a ring about the principal point exceeds this (RMS where corners were seen), with "
-        "a significance of 1e-6",
+        "a significance of 1e-6, or the mean residual that views share in a cell of the image, with 1e-3",
         _SETS,
         minimum_px=0.3,
     ),

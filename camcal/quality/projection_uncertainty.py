@@ -138,15 +138,6 @@ def in_polygon(pixels: Array, polygon: Array) -> BoolArray:
     return np.asarray(on_side | (crossed.sum(axis=1) % 2 == 1))
 
 
-def with_pattern(found: ProjectionUncertainty, centre: Array, radii: Array, radial_px: Array) -> ProjectionUncertainty:
-    """Return the uncertainty with residuals that depend on the distance from the centre (2,) added to it: their means
-    (R,) px, outwards, at radii (R,) px; beyond the last one they are as large as there.
-    """
-    outwards = found.pixels - centre
-    distance = np.linalg.norm(outwards, axis=1)
-    return with_bias(found, (np.interp(distance, radii, radial_px) / np.maximum(distance, 1e-9))[:, None] * outwards)
-
-
 def with_bias(found: ProjectionUncertainty, bias: Array) -> ProjectionUncertainty:
     """Return the uncertainty with a bias (N, 2) px of its pixels added to it, NaN where none is known."""
     bias = np.nan_to_num(bias)

@@ -18,6 +18,7 @@ PURPOSES = {  # of the extras that users install
     "bags": "images of ROS bags and MCAP",
     "clouds": "LAS and LAZ point clouds",
     "cluster": "--scheduler, and URLs",
+    "matlab": "MAT-files of version 7.3",
     "onnx": "camcal stereo disparity --engine onnx",
     "view": "camcal view --rerun, and .rrd files",
 }

@@ -4,6 +4,7 @@ import json
 import re
 from dataclasses import replace
 
+import mat73
 import numpy as np
 import pytest
 from robot_scenes import CARRIER, WORLD, board_at, hand_of, noisy, write_poses
@@ -175,13 +176,15 @@ def test_a_matlab_file_of_matrices_is_read_either_way_round(handeye, folder):
         savemat(folder / f"{name}.mat", {"poses": value})
         code, out, _ = handeye("camera.yaml", "seen.csv", "--robot", f"{name}.mat", "-o", "x.yaml")
         assert (code, f"read as {'ros' if name == 'rows' else 'matrix'}, base_T_hand, m" in out) == (0, True), name
+    mat73.write(folder / "hdf5.mat", {"poses": matrices})
+    assert handeye("camera.yaml", "seen.csv", "--robot", "hdf5.mat", "-o", "x.yaml")[0] == 0
     savemat(folder / "two.mat", {"one": rows, "other": rows})
     savemat(folder / "none.mat", {"words": "poses"})
     (folder / "damaged.mat").write_bytes((folder / "later.mat").read_bytes()[:300])
     for name, said, wanted in (
         ("two", "several variables: one, other", 2),
         ("none", "no array", 2),
-        ("damaged", "-v7", 3),
+        ("damaged", "damaged or truncated", 3),
     ):
         code, _, err = handeye("camera.yaml", "seen.csv", "--robot", f"{name}.mat", "-o", "x.yaml")
         assert (code, said in err) == (wanted, True), err

@@ -2,9 +2,11 @@
 
 from dataclasses import replace
 
+import mat73
 import numpy as np
 import pytest
 from corner_files import BOARD, SIZE, bouguet, deltille, grids, matlab, photonvision, seen_views
+from scipy.io import savemat
 
 from camcal.errors import FileError, InvalidInput
 from camcal.formats import corner_lists, detections
@@ -25,17 +27,22 @@ def require_same(found, seen):
         assert view.size == SIZE
 
 
+SAVES = pytest.mark.parametrize("save", [savemat, mat73.write])
+
+
+@SAVES
 @pytest.mark.parametrize("board", [None, BOARD])
-def test_corners_of_matlab_count_from_one_and_down_the_columns(tmp_path, seen, board):
-    path = matlab(tmp_path / "points.mat", seen, imageSize=np.array([960.0, 1280]))
+def test_corners_of_matlab_count_from_one_and_down_the_columns(tmp_path, seen, board, save):
+    path = matlab(tmp_path / "points.mat", seen, save, imageSize=np.array([960.0, 1280]))
     found = detections.read(path, board)
     assert found.board == BOARD
     require_same(found, seen)
 
 
-def test_without_points_of_the_board_its_size_in_squares_numbers_the_corners(tmp_path, seen):
+@SAVES
+def test_without_points_of_the_board_its_size_in_squares_numbers_the_corners(tmp_path, seen, save):
     told = {"boardSize": np.array([7.0, 10]), "worldPoints": np.zeros((0, 0))}
-    path = matlab(tmp_path / "points.mat", seen, **told)
+    path = matlab(tmp_path / "points.mat", seen, save, **told)
     with pytest.raises(InvalidInput, match=r"tells no size of its images: set --image-size WxH"):
         detections.read(path)
     found = detections.read(path, None, SIZE)
@@ -43,9 +50,10 @@ def test_without_points_of_the_board_its_size_in_squares_numbers_the_corners(tmp
     require_same(found, seen)
 
 
+@SAVES
 @pytest.mark.parametrize("board", [None, BOARD])
-def test_corners_of_bouguet_count_from_zero_with_y_upwards(tmp_path, seen, board):
-    found = detections.read(bouguet(tmp_path / "calib_data.mat", seen), board)
+def test_corners_of_bouguet_count_from_zero_with_y_upwards(tmp_path, seen, board, save):
+    found = detections.read(bouguet(tmp_path / "calib_data.mat", seen, save), board)
     assert found.board == BOARD
     assert found.views[0].image == "left1"
     require_same(found, seen)
@@ -82,7 +90,7 @@ def test_deltilles_files_are_one_for_each_image(tmp_path, seen):
         ("a.json", b'{"observations": [], "resolution": {"width": 4, "height": 4}}', InvalidInput, "holds no corners"),
         ("a.json", b'{"observations": [{}]}', FileError, "damaged or truncated"),
         ("a.m", b"fc = [1 ; 2];", InvalidInput, "holds no corners"),
-        ("a.mat", b"MATLAB 7.3 MAT-file", InvalidInput, "save it with save"),
+        ("a.mat", b"MATLAB 7.3 MAT-file", FileError, "not a MAT-file of version 7.3"),
         ("a.mat", b"MATLAB 5.0 MAT-file", FileError, "damaged or truncated"),
         ("a.orpc", b"filename: a\nwidth: 4\nheight: 4\nnum_corners: 2\nencoding: ascii\n", FileError, "damaged"),
     ],

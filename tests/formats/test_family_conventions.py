@@ -3,8 +3,11 @@
 import json
 import re
 import struct
+import sys
 
 import cv2
+import h5py
+import mat73
 import numpy as np
 import pytest
 import yaml
@@ -14,7 +17,7 @@ from camcal.cameras.model import Camera
 from camcal.errors import CamcalError, FileError, InvalidInput
 from camcal.formats import cameras
 from camcal.formats.camera_file import CameraEntry, CameraFile, Transform, pose_between
-from camcal.formats.cameras import FORMATS
+from camcal.formats.cameras import FORMATS, mat
 from camcal.formats.cameras.record import Given
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
@@ -203,7 +206,9 @@ def test_matlab_in_all_its_ways(tmp_path):
     expected = [500.0, 501.0, 320.0, 240.0, -0.2, 0.05, 0.001, -0.002, 0.01]
     for number, each in enumerate((MATLAB, transposed, intrinsics)):
         savemat(tmp_path / f"{number}.mat", {"s": {key: np.array(value) for key, value in each.items()}})
-        files = [cameras.read(tmp_path / f"{number}.mat"), read(tmp_path, json.dumps(each), "a.json")]
+        mat73.write(tmp_path / f"{number}_73.mat", {"s": each, "object": {"words": "a camera", "empty": []}})
+        files = [cameras.read(tmp_path / f"{number}{version}.mat") for version in ("", "_73")]
+        files.append(read(tmp_path, json.dumps(each), "a.json"))
         for file in files:
             camera = file.cameras["camera"].camera
             assert (camera.image_size, camera.parameters.tolist()) == (SIZE, expected)
@@ -213,13 +218,40 @@ def test_matlab_in_all_its_ways(tmp_path):
         "RotationOfCamera2": PLACE.rotation.T.tolist(),
         "TranslationOfCamera2": (1000 * PLACE.translation).tolist(),
     }
-    found = read(tmp_path, json.dumps(pair), "pair.json").transforms["right_T_left"].pose
-    assert np.abs(found.matrix() - PLACE.matrix()).max() < 1e-12
-    with pytest.raises(InvalidInput, match=r"7\.3 .*save it with save\(…, '-v7'\)"):
-        read(tmp_path, "MATLAB 7.3 MAT-file, Platform: GLNXA64", "a.mat")
+    mat73.write(tmp_path / "pair.mat", {"stereo": {**pair, "WorldUnits": "mm"}})
+    for file in (read(tmp_path, json.dumps(pair), "pair.json"), cameras.read(tmp_path / "pair.mat")):
+        found = file.transforms["right_T_left"].pose
+        assert np.abs(found.matrix() - PLACE.matrix()).max() < 1e-12
+        assert file.cameras["right"].camera.parameters.tolist() == expected
     savemat(tmp_path / "none.mat", {"x": 1.0})
     with pytest.raises(InvalidInput, match="toStruct"):
         cameras.read(tmp_path / "none.mat")
+
+
+def test_version_7_3_holds_what_version_5_does(tmp_path):
+    content = {"number": 2.5, "row": [1.0, 2, 3], "matrix": np.arange(6.0).reshape(2, 3), "word": "left", "empty": []}
+    cells = ("a", 1.0, np.eye(2))
+    path = mat73.write(tmp_path / "a.mat", {**content, "inner": {"deeper": content}, "cells": cells})
+    with h5py.File(path, "r+") as file:
+        file["link"] = h5py.ExternalLink("b.mat", "/x")
+        file["loop"] = file["/inner"]
+        file["inner/loop"] = file["/inner"]
+        file["complex"] = np.array([(1.0, 2.0)], [("real", "f8"), ("imag", "f8")])
+        file.create_dataset("huge", (1 << 40,), chunks=(1024,), dtype="f8").attrs["MATLAB_class"] = np.bytes_("double")
+        file.create_dataset("object", data=np.zeros((1, 6), np.uint32)).attrs["MATLAB_object_decode"] = np.int32(3)
+    found = mat.variables(path.read_bytes())
+    plain = {**content, "matrix": [[0.0, 1, 2], [3, 4, 5]]}
+    assert {key: found[key] for key in plain} == plain
+    assert found["inner"]["deeper"] == plain
+    assert found["cells"] == ("a", 1.0, [[1.0, 0], [0, 1]])
+    assert [found.get(key) for key in ("link", "complex", "huge", "object")] == [None] * 4
+
+
+def test_version_7_3_without_h5py_names_the_extra(tmp_path, monkeypatch):
+    path = mat73.write(tmp_path / "a.mat", {"s": MATLAB})
+    monkeypatch.setitem(sys.modules, "h5py", None)
+    with pytest.raises(InvalidInput, match=r"a\.mat: is a MAT-file of version 7\.3, .* pip install 'camcal\[matlab\]'"):
+        cameras.read(path)
 
 
 def test_a_fisheye_of_an_old_photonvision_is_refused_by_its_key(tmp_path):
@@ -417,13 +449,17 @@ def test_what_is_missing_in_json_is_named(tmp_path, text, said):
     assert "\n" not in str(caught.value)
 
 
-def test_damaged_and_compressed_files_of_matlab(tmp_path):
+@pytest.mark.parametrize("version", [7, 7.3])
+def test_damaged_and_compressed_files_of_matlab(tmp_path, version):
     from scipy.io import savemat
 
     path = tmp_path / "a.mat"
-    savemat(path, {"s": {key: np.array(value) for key, value in MATLAB.items()}}, do_compression=True)
-    assert cameras.read(path).cameras["camera"].camera.value("cx") == 320.0
-    cameras.write(path, CameraFile({"camera": CameraEntry(BROWN)}), FORMATS["matlab"])
+    if version == 7:
+        savemat(path, {"s": {key: np.array(value) for key, value in MATLAB.items()}}, do_compression=True)
+        assert cameras.read(path).cameras["camera"].camera.value("cx") == 320.0
+        cameras.write(path, CameraFile({"camera": CameraEntry(BROWN)}), FORMATS["matlab"])
+    else:
+        mat73.write(path, {"s": MATLAB, "cells": ("a", 1.0)})
     content = path.read_bytes()
     rng = np.random.default_rng(0)
     for _ in range(300):

@@ -35,7 +35,7 @@ SIDE = max(BOARD.extent)
 FOCAL = 1200.0
 VIEWS = 20
 CORNERS = VIEWS * BOARD.count
-RINGS = 8  # of radial_trend
+RINGS = 8  # of radial_pattern
 # Half widths of 95 % intervals by 2, 4 and 8 degrees of freedom over that of a normal distribution (tables of t).
 STUDENT_OF_3, STUDENT_OF_5, STUDENT_OF_9 = 4.3027 / 1.9600, 2.7764 / 1.9600, 2.3060 / 1.9600
 
@@ -120,7 +120,7 @@ def covering(calibration, share):
     """One corner in each of the first cells of the 10 × 8, from the upper left."""
     cells = np.arange(round(80 * share))
     pixels = np.column_stack([(cells % 10 + 0.5) * WIDTH / 10, (cells // 10 + 0.5) * HEIGHT / 8])
-    return replace(calibration, pixels=pixels, residuals=0 * pixels)
+    return replace(calibration, pixels=pixels, residuals=0 * pixels, corner_views=0 * cells)
 
 
 def of_two_cameras(calibration, ratio, by_name=False, other_px=0.5):
@@ -264,7 +264,9 @@ EXAMPLES = (
     ),
     Example(
         "residual_pattern",  # by more than 0.3 of the noise, which this many views would show by chance
-        lambda good, chance: pointing(good, good.sigma_px * math.sqrt(chi2.isf(chance, RINGS) / (RINGS * VIEWS))),
+        lambda good, chance: pointing(
+            certain(good, 0.2), good.sigma_px * math.sqrt(chi2.isf(chance, RINGS) / (RINGS * VIEWS))
+        ),
         1.1e-6,
         0.9e-6,
         r"outwards by 0\.05 px",

@@ -86,7 +86,8 @@ def test_models_that_pass_come_first_then_those_that_do_not_then_those_without_a
 @pytest.mark.parametrize("known", [0.5, np.inf])
 def test_pixels_without_a_ray_count_as_known_to_a_hundredth_of_the_diagonal(monkeypatch, known):
     std = np.array([0.5, known])
-    found = SimpleNamespace(uncertainty=SimpleNamespace(std_rms=std, pixels=np.zeros((2, 2))), failures=())
+    map_ = SimpleNamespace(std_rms=std, pixels=np.zeros((2, 2)))
+    found = SimpleNamespace(uncertainty=map_, failures=(), messages=())
     monkeypatch.setattr(assess, "assess", lambda *_: found)
     own = replace(
         candidate("own", 1.0, 2.0), calibration=SimpleNamespace(camera=SimpleNamespace(image_size=(300, 400)))

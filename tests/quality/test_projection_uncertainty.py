@@ -21,7 +21,6 @@ from camcal.quality.projection_uncertainty import (
     in_polygon,
     known_region,
     projection_uncertainty,
-    with_pattern,
 )
 
 SIZE = (1280, 960)
@@ -259,11 +258,3 @@ def test_pixels_in_a_polygon_are_those_of_opencv(seed, corners):
     assert np.array_equal(in_polygon(pixels, polygon)[clear], np.array(expected)[clear] > 0)
     assert in_polygon(polygon, polygon).all()
     assert not in_polygon(pixels, np.zeros((0, 2))).any()
-
-
-def test_residuals_that_depend_on_the_radius_are_added_along_it():
-    found = with_pattern(map_of(0.3), np.array([639.5, 479.5]), np.array([100.0, 300.0]), np.array([0.0, 0.4]))
-    right = int(np.argmin(np.hypot(*(found.pixels - [1279, 479.5]).T)))
-    np.testing.assert_allclose(found.covariances[right], [[0.09 + 0.16, 0], [0, 0.09]], atol=1e-12)
-    middle = int(np.argmin(np.hypot(*(found.pixels - [639.5, 479.5]).T)))
-    np.testing.assert_allclose(found.covariances[middle], 0.09 * np.eye(2), atol=1e-12)

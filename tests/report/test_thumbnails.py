@@ -26,7 +26,8 @@ def calibration(views=VIEWS, length=1.0):
     """A calibration with residuals of one length, px."""
     corners = sum(view.kept for view in views)
     residuals = np.tile([0.6 * length, 0.8 * length], (corners, 1))
-    return Calibration(CAMERA, BOARD, Surface(BOARD), views, (), 0.1, 300, 0.2, residuals, residuals + 400.0, 5)
+    rows = np.repeat(np.arange(len(views)), [view.kept for view in views])
+    return Calibration(CAMERA, BOARD, Surface(BOARD), views, (), 0.1, 300, 0.2, residuals, residuals + 400.0, rows, 5)
 
 
 def test_the_worst_images_come_first_and_those_without_a_board_last():

@@ -53,13 +53,14 @@ def test_a_package_that_does_not_fit_is_named_with_the_remedy(versions, changed,
 
 
 def test_optional_packages_are_listed_with_what_they_are_for_and_none_of_them_is_required(versions):
-    versions(onnxruntime=None, rerun_sdk="0.29.0", rosbags="0.11.0")
+    versions(onnxruntime=None, rerun_sdk="0.29.0", rosbags="0.11.0", h5py="3.12.1")
     found = doctor.examine()
     single = [each for each in found.optional if each.extra not in ("clouds", "cluster")]
     assert {each.extra: (each.name, each.version) for each in single} == {
         "onnx": ("onnxruntime", None),
         "view": ("rerun-sdk", "0.29.0"),
         "bags": ("rosbags", "0.11.0"),
+        "matlab": ("h5py", "3.12.1"),
     }
     assert all(each.purpose for each in found.optional)
     assert not {each.name for each in found.optional} & {each.name for each in found.packages}

@@ -11,7 +11,7 @@ from camcal.arrays import Array
 from camcal.calibrate import intrinsics
 from camcal.calibrate.between_views import between_views
 from camcal.calibrate.fit import CalibrationFit
-from camcal.calibrate.intrinsics import Calibration, Solved, pose_covariances
+from camcal.calibrate.intrinsics import Calibration, Solved
 from camcal.calibrate.rigs.effects import SHIFT
 from camcal.calibrate.rigs.epipolar import epipolar_by_capture
 from camcal.calibrate.rigs.fit import RigFit, fit_rig, with_other_models
@@ -289,7 +289,7 @@ def _record(
         epipolar_rms_px=float(np.sqrt(squares.sum() / counts.sum())) if counts.any() else None,
         epipolar_by_capture=np.sqrt(squares / np.where(counts, counts, np.nan)),
         boards=boards,
-        links=camera_links(result, names, [pose_covariances(own.solved.fit) for own in cameras.starts]),
+        links=camera_links(result, names, [own.solved.fit.pose_covariances() for own in cameras.starts]),
         scales=_scales(result),
         warnings=(*warnings, *found.warnings),
         failures=(*found.failures, *_misfits(calibrations, cameras)),

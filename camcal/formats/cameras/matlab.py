@@ -1,5 +1,5 @@
-"""MATLAB's cameraParameters, cameraIntrinsics and stereoParameters as structs, in a MAT-file (v7) or as JSON, and the
-Calib_Results.mat of Bouguet's toolbox.
+"""MATLAB's cameraParameters, cameraIntrinsics and stereoParameters as structs, in a MAT-file (v5 to 7.3) or as JSON,
+and the Calib_Results.mat of Bouguet's toolbox.
 
 The centre of the top-left pixel is 1, 1 (of Bouguet's 0, 0). IntrinsicMatrix of old releases is the transpose of K;
 which of the two a matrix is follows from where its zeros are. Objects have to be saved as structs, toStruct(params).
@@ -8,8 +8,6 @@ Source: MathWorks' documentation of cameraParameters, toStruct, cameraIntrinsics
 """
 
 import io
-import struct
-import zlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -18,7 +16,7 @@ import numpy as np
 
 from camcal import files
 from camcal.cameras.model import Camera
-from camcal.errors import FileError, InvalidInput
+from camcal.errors import Located
 from camcal.formats.camera_file import CameraEntry, CameraFile, Transform
 from camcal.formats.cameras import bouguet, mat
 from camcal.formats.cameras.lenses import Lenses
@@ -67,13 +65,8 @@ def _values(source: Source) -> Values:
     where = str(source.path)
     if not source.binary and source.text.lstrip()[:1] == "{":
         return json_values(source)
-    if source.text.startswith("MATLAB 7.3"):
-        raise InvalidInput("is a MAT-file of version 7.3 (HDF5): save it with save(…, '-v7')", where=where)
-    try:
-        data = mat.variables(files.read_bytes(source.path))
-    except (ValueError, IndexError, OverflowError, struct.error, zlib.error) as error:
-        raise FileError("is truncated, or not a MAT-file of version 5 to 7", where=where) from error
-    return Values(Document(where, data, {}))
+    with Located(where):
+        return Values(Document(where, mat.variables(files.read_bytes(source.path)), {}))
 
 
 def _first(values: Values, keys: Sequence[str]) -> Values | None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from camcal.calibrate import intrinsics
 from camcal.calibrate.fit import CalibrationFit, ShapeOptions
 from camcal.calibrate.intrinsics import Calibration, CandidateModel, FittedModel, compare_models
-from camcal.cameras.catalogue import DEFAULT_MODEL, WIDE_MODEL, model_named
+from camcal.cameras.catalogue import DEFAULT_MODEL, SPLINE_MODEL, WIDE_MODEL, model_named
 from camcal.cameras.validity import ImageCircle
 from camcal.errors import CamcalError, InsufficientData, InvalidInput, NotConverged
 from camcal.messages import Message
@@ -122,7 +122,8 @@ def select(
     with stage(progress, "choosing the lens model"):
         found = _look_briefly(views, board, [replace(options, model=model_named(name)) for name in _FIRST], circle)
         *_, last = found
-        candidates = compared(views, board, options, circle, _fit_of(last), found) if _lens_matters(last) else found
+        every = compared(views, board, options, circle, _fit_of(last), found) if _lens_matters(last) else found
+        candidates = _with_spline(every, views, board, options, circle)
     if candidates[-1].calibration is not None and _TWO_CAMERAS in candidates[-1].failures:
         return Selection(candidates[-1].calibration, assess(candidates[-1].calibration, circle))
     order = rank_models(candidates, DEFAULT_MODEL)
@@ -215,6 +216,7 @@ def solve_given(
     def rank_all() -> list[CandidateModel]:
         wide = next((_fit_of(each) for each in beside if each.name == WIDE_MODEL), None)
         every = compared(views, board, free, circle, wide, beside)
+        every = _with_spline(every, views, board, free, circle)
         return rank_models([each for each in every if own in beside or each.name != own.name], DEFAULT_MODEL)
 
     refusal = own.refusal if isinstance(own, FittedModel) else None
@@ -278,6 +280,23 @@ def compared(
         if found[DEFAULT_MODEL].scores is not None:
             break
     return judge([found[name] for name in dict.fromkeys((*CANDIDATES, *found)) if name in found], circle)
+
+
+def _with_spline(
+    candidates: Sequence[CandidateModel],
+    views: Sequence[BoardDetection],
+    board: Board,
+    options: intrinsics.Options,
+    circle: ImageCircle | None,
+) -> tuple[CandidateModel, ...]:
+    """Return the candidates, with a spline where even that which predicts best leaves a pattern of residuals: it takes
+    longer than all the others.
+    """
+    best = max(candidates, key=lambda own: own.score)
+    if not best.pattern or SPLINE_MODEL in {own.name for own in candidates}:
+        return tuple(candidates)
+    made = compare_models(views, board, options, [model_named(SPLINE_MODEL)], _fit_of(best))
+    return (*candidates, *judge(made, circle))
 
 
 def brief_calibration(
