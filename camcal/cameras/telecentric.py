@@ -36,7 +36,7 @@ class Telecentric(Brief, PlaneModel):
         return Rays(along, found.valid, found.directions - along)
 
     @property
-    def tilted(self) -> None:  # type: ignore[override]
+    def tilted(self) -> None:
         """None: where rays are parallel the tilt of a sensor is a stretch of its image."""
         return
 

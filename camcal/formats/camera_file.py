@@ -204,7 +204,7 @@ class Framing:
 def framed(file: CameraFile, framing: Framing) -> CameraFile:
     """Return a file for other images, with all covariances.
 
-    Figures in pixels of the usual images (residuals, noise, uncertainty, regions) are left out.
+    Figures in pixels of the usual images (residuals, uncertainty, regions; noise but of a crop) are left out.
     Raises InvalidInput as `Framing.of` does.
     """
     if framing == Framing():
@@ -219,7 +219,7 @@ def framed(file: CameraFile, framing: Framing) -> CameraFile:
             verdict=verdict_of_view(entry.verdict),
             projection=(),
             quality={},
-            noise=None,
+            noise=entry.noise if framing == Framing(framing.crop) else None,
         )
         for name, entry in file.cameras.items()
     }

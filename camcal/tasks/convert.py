@@ -69,7 +69,7 @@ def convert(options: ConvertFileOptions, progress: Progress = SILENT) -> Convert
     source = cameras.format_of(path)
     if (wanted := options.camera or name) is not None:
         file = cameras.only(file, wanted, str(path))
-    file = framed(file, framing_of(options.given))
+    file = framed(file, framing_of(options.given.part))
     written = tuple(_convert_file(file, output, source, options) for output in options.outputs)
     refits = [(file.cameras[name].camera, found) for each in written for name, found in each.refits.items()]
     if options.plot is not None and not refits:
@@ -89,7 +89,7 @@ def convert(options: ConvertFileOptions, progress: Progress = SILENT) -> Convert
 def _convert_file(file: CameraFile, output: Path, source: CameraFormat, options: ConvertFileOptions) -> ConvertedFile:
     """Return what is to be written to an output."""
     one_of_several = len(options.outputs) > 1
-    changed = options.refit is not None or framing_of(options.given) != Framing()
+    changed = options.refit is not None or framing_of(options.given.part) != Framing()
     own = changed and output.suffix.lower() in cameras.FORMATS[cameras.OWN].suffixes
     wanted = options.to or (cameras.OWN if own and not named(output.name) else None)
     target = cameras.format_for(output, wanted, source, by_suffix=one_of_several)

@@ -19,7 +19,7 @@ from camcal.messages import Message
 from camcal.progress import SILENT, Progress
 from camcal.quality.projection_uncertainty import in_polygon
 from camcal.run.paths import IMAGE_SUFFIXES, require_there, split_address
-from camcal.tasks.options import GivenCamera
+from camcal.tasks.options import WHOLE, GivenCamera, ImagePart
 
 Size = tuple[int, int]
 _OUTSIDE = 0.02  # of a view or of points: more beyond the region of the verdict is worth a warning
@@ -45,7 +45,7 @@ def read_camera_file(
     Raises InvalidInput for an image in place of the file, where the size remains unknown, for a lens that is not
     central, and as `cameras.read` and `framed` do.
     """
-    file = framed(_read_camera_file(address, given, progress, size_of_images, second), framing_of(given))
+    file = framed(_read_camera_file(address, given, progress, size_of_images, second), framing_of(given.part))
     return central_file(file, address) if central else file
 
 
@@ -56,9 +56,23 @@ def central_file(file: CameraFile, where: str | Path | None) -> CameraFile:
     return file
 
 
-def framing_of(given: GivenCamera) -> Framing:
+def framing_of(part: ImagePart) -> Framing:
     """Return which part of a camera's images the given ones are."""
-    return Framing(given.crop, given.binning or 1, given.scale_to)
+    return Framing(part.crop, part.binning or 1, part.scale_to)
+
+
+def require_whole(part: ImagePart, instead: str) -> None:
+    """Raise InvalidInput for a part of the images of a camera that is in no file."""
+    if part != WHOLE:
+        raise InvalidInput(f"--crop, --binning and --scale-to go with {instead}")
+
+
+def read_part(path: Path, part: ImagePart, progress: Progress = SILENT) -> CameraFile:
+    """Return the content of a camera file, its cameras those of a part of their images.
+
+    Raises InvalidInput and FileError as `cameras.read` and `framed` do.
+    """
+    return framed(cameras.read(path, progress), framing_of(part))
 
 
 def _read_camera_file(

@@ -262,13 +262,15 @@ def _channel(calibration: Calibration, colour: str, views: Sequence[BoardDetecti
 
 
 def _guess(options: CalibrateOptions, progress: Progress) -> CameraEntry | None:
-    if options.guess is None:
-        return None
     from camcal.formats import cameras
+    from camcal.tasks.given_camera import read_part, require_whole
 
+    if options.guess is None:
+        require_whole(options.part, "--guess CAMERA")
+        return None
     path, name = split_address(options.guess)
     # a start may be poor; what is held at its value may not
-    file = cameras.read(path, progress) if options.fix else cameras.read(path)
+    file = read_part(path, options.part, progress if options.fix else SILENT)
     return cameras.select(file, name, str(path))
 
 

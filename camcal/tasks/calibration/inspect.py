@@ -20,9 +20,11 @@ from camcal.report.table import held_by_prior_words, length_unit, projection_wor
 from camcal.run.outputs import writes
 from camcal.targets.board import CLASSES, RATIOS, Surface
 from camcal.tasks.gates import stated
-from camcal.tasks.options import InspectOptions
+from camcal.tasks.given_camera import read_part
+from camcal.tasks.options import WHOLE, ImagePart
 from camcal.tasks.rigs.inspect_rig import RigInspection, draw_rig, inspect_rig
 from camcal.tasks.rigs.inspect_rig import as_data as rig_data
+from camcal.tasks.show_options import InspectOptions
 
 if TYPE_CHECKING:
     from camcal.tasks.calibration.errors_at_range import RangeErrors
@@ -33,7 +35,8 @@ class Inspection:
     """A camera file: the records it makes, the cameras that were asked for.
 
     fields: horizontal, vertical and diagonal field of view of each camera, degrees. rig: what the cameras make
-    together, None where they are no rig. errors: of measurements, at the distances that were asked for.
+    together, None where they are no rig. errors: of measurements, at the distances that were asked for. part: of the
+    images of the file's cameras, that these are for.
     """
 
     path: Path
@@ -41,13 +44,14 @@ class Inspection:
     fields: Mapping[str, tuple[float, float, float]]
     rig: RigInspection | None = None
     errors: "tuple[RangeErrors, ...]" = ()
+    part: ImagePart = WHOLE
 
     @cached_property
     def document(self) -> documents.Document:
-        """The document as it stands, read only where it is asked for; of another program's file what camcal would write
-        of it.
+        """The document as it stands, read only where it is asked for; of another program's file, and of a part of the
+        images, what camcal would write of it.
         """
-        if cameras.format_of(self.path).name == cameras.OWN:
+        if self.part == WHOLE and cameras.format_of(self.path).name == cameras.OWN:
             return documents.load(self.path)
         return documents.Document(str(self.path), emit.plain(native.block(self.file, self.path)), {})
 
@@ -60,7 +64,7 @@ def inspect(options: InspectOptions) -> Inspection:
     errors of measurements where no covariance is known.
     """
     path, camera = options.address
-    file = cameras.read(path)
+    file = read_part(path, options.part)
     if camera is not None:
         cameras.select(file, camera, str(path))
     names = list(file.cameras) if camera is None else [camera]
@@ -69,7 +73,7 @@ def inspect(options: InspectOptions) -> Inspection:
         if rig is None:
             raise InvalidInput("no picture: it needs a file of several cameras that transforms join", where=str(path))
         draw_rig(rig, options.output)
-    found = Inspection(path, file, {name: _field_deg(file.cameras[name]) for name in names}, rig)
+    found = Inspection(path, file, {name: _field_deg(file.cameras[name]) for name in names}, rig, part=options.part)
     if not (asked := options.measured).distances:
         return found
     from camcal.tasks.calibration.errors_at_range import errors_of_file  # most inspections do without

@@ -95,7 +95,7 @@ def set_up(options: OpticsOptions) -> Setup:
 
 def _with_camera(setup: Setup, address: str) -> Setup:
     path, fragment = split_address(address)
-    file = read_camera_file(address, GivenCamera(), size_of_images=lambda: setup.size)
+    file = read_camera_file(address, GivenCamera(part=setup.options.part), size_of_images=lambda: setup.size)
     entry = cameras.select(file, fragment or setup.options.name, str(path))
     size = entry.camera.image_size
     if setup.size not in (None, size):

@@ -136,7 +136,8 @@ def rig_of_cloud(options: CloudOptions, progress: Progress) -> RigPair | None:
         return None
     if _is_map(options.disparity):
         return None
-    rig = unrectified_pair(address, options.geometry.camera, partial(_size_of_first, options.disparity, image))
+    known, size_of_images = options.geometry, partial(_size_of_first, options.disparity, image)
+    rig = unrectified_pair(address, known.camera, size_of_images, known.given.part)
     if rig is not None:
         warn_of(rig.rectification.warnings, progress)
     return rig
@@ -186,7 +187,7 @@ def _image_and_camera(files: tuple[str, ...]) -> tuple[Path | None, str | None]:
 def _pair(options: CloudOptions, address: str | None, found: DisparityMap, progress: Progress) -> RectifiedPair:
     height, width = found.values.shape
     if not options.geometry.numbers():
-        require_rectified(address, options.geometry.camera, (width, height))
+        require_rectified(address, options.geometry.camera, (width, height), options.geometry.given.part)
     pair = rectified_pair.pair_of(options.geometry, address, (width, height), found.sidecar, progress)
     if pair.geometry is None:
         raise InvalidInput(_NO_GEOMETRY)
