@@ -11,6 +11,7 @@ from camcal.cameras.catalogue import model_named
 from camcal.cameras.refit import Refit
 from camcal.errors import InvalidInput
 from camcal.formats import cameras, provenance
+from camcal.formats.addresses import split_address
 from camcal.formats.camera_file import CameraFile, Framing, framed
 from camcal.formats.cameras.nearest import Nearest, prepared
 from camcal.formats.cameras.recognition import named
@@ -18,7 +19,6 @@ from camcal.formats.cameras.record import EVERY_LENS, CameraFormat, Given
 from camcal.options import command_line
 from camcal.progress import SILENT, Progress
 from camcal.run.outputs import claim, writes
-from camcal.run.paths import split_address
 from camcal.tasks.convert_options import ConvertFileOptions
 from camcal.tasks.given_camera import framing_of, require_no_image
 

@@ -12,13 +12,14 @@ from camcal.cameras.lens import FISHEYE
 from camcal.cameras.model import Camera, require_central
 from camcal.errors import InvalidInput
 from camcal.formats import cameras
+from camcal.formats.addresses import split_address
 from camcal.formats.camera_file import CalibrationVerdict, CameraEntry, CameraFile, Framing, framed
 from camcal.formats.cameras.record import CAMERA, Given, MissingSize
 from camcal.images.videos import address_of, is_video
 from camcal.messages import Message
 from camcal.progress import SILENT, Progress
 from camcal.quality.projection_uncertainty import in_polygon
-from camcal.run.paths import IMAGE_SUFFIXES, require_there, split_address
+from camcal.run.paths import IMAGE_SUFFIXES, require_there
 from camcal.tasks.options import WHOLE, GivenCamera, ImagePart
 
 Size = tuple[int, int]

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 from camcal import files
 from camcal.cameras.model import Camera
 from camcal.errors import CamcalError, FileError, InvalidInput
+from camcal.formats.addresses import split_address
 from camcal.formats.camera_file import CameraEntry, CameraFile, pose_between
 from camcal.formats.cameras.recognition import ROWS, Row, named, recognise
 from camcal.formats.cameras.record import ANY_FRAME, CameraFormat, Given, Source, name_of, name_of_topic
@@ -62,10 +63,11 @@ def read(
 ) -> CameraFile:
     """Return the content of a camera file of any format; progress gets warnings of implausible values in it.
 
-    given: what the user says where the file does not. second: the other file of a pair, where it is written as two.
+    path: FILE, FILE#NAME for one camera of it, BAG#TOPIC of a bag. given: what the user says where the file does not.
+    second: the other file of a pair, where it is written as two.
     Raises InvalidInput for every rule it breaks, MissingSize if nothing says the size of the images, FileError.
     """
-    path = Path(path)
+    path, named = split_address(str(path)) if address_of(Path(path)) is None else (Path(path), None)
     sources = [source for each in (path, second) if each is not None for source in _sources_of(each)]
     known = _recognised(sources[0])
     form = known or FORMATS[OWN]
@@ -90,7 +92,7 @@ def read(
         origin = {"file": path.name, "format": form.name, "exact": True}
         file = replace(file, warnings=(*file.warnings, *doubts), converted_from=origin)
     warn_of(file.warnings, progress)
-    return file
+    return file if named is None else only(file, named, str(path))
 
 
 def _require_yaml(source: Source) -> None:
@@ -156,7 +158,7 @@ def is_camera_file(path: Path) -> bool:
 
 
 def read_camera(path: str | Path, name: str | None = None) -> Camera:
-    """Return one camera of a file; the name may be left out where there is only one.
+    """Return one camera of a file, FILE or FILE#NAME; the name may be left out where there is only one.
 
     Raises InvalidInput if it is not clear which one is meant, and as `read` does.
     """

@@ -11,6 +11,7 @@ from camcal import files
 from camcal.cameras.model import require_central
 from camcal.errors import InvalidInput
 from camcal.formats import boards, cameras
+from camcal.formats.addresses import split_address
 from camcal.formats.camera_file import CameraFile
 from camcal.geometry.pose import Pose
 from camcal.messages import counted
@@ -21,7 +22,6 @@ from camcal.quality.view_advice import Known, SuggestedView, ViewAdvice
 from camcal.quality.view_advice import advise as best_views
 from camcal.report.table import Column
 from camcal.run.outputs import writes
-from camcal.run.paths import split_address
 from camcal.targets.board import Board, Surface
 from camcal.targets.detection import BoardDetection
 from camcal.tasks.calibration.board_views import OWN_SUFFIXES, is_table

@@ -16,6 +16,7 @@ from camcal.cameras.catalogue import DEFAULT_MODEL, model_named
 from camcal.cameras.validity import ImageCircle
 from camcal.errors import GateFailed, InsufficientData, InvalidInput, NotConverged
 from camcal.formats import detections, native, native_entry
+from camcal.formats.addresses import split_address
 from camcal.formats.camera_file import CameraEntry
 from camcal.messages import Message
 from camcal.options import command_line
@@ -25,7 +26,6 @@ from camcal.raw.names import COLOURS
 from camcal.report.calibration import as_data, candidates_data, uncertainty_data
 from camcal.report.times import time_data
 from camcal.run.outputs import writes
-from camcal.run.paths import split_address
 from camcal.targets.board import Board
 from camcal.targets.detection import BoardDetection
 from camcal.tasks.calibration.board_views import (

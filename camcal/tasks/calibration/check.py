@@ -15,6 +15,7 @@ from camcal.arrays import FloatArray
 from camcal.calibrate.known_cameras import KnownBoard
 from camcal.errors import GateFailed, InsufficientData, InvalidInput
 from camcal.formats import cameras
+from camcal.formats.addresses import split_address
 from camcal.formats.boards import short_form
 from camcal.formats.camera_file import CameraEntry, CameraFile, pair_covariance, parameters_covariance, pose_between
 from camcal.formats.poses.record import Poses
@@ -38,7 +39,6 @@ from camcal.quality.camera_drift import LensDrift, PlaceDrift
 from camcal.quality.view_advice import Known
 from camcal.report.table import Column
 from camcal.run.outputs import claim, writes
-from camcal.run.paths import split_address
 from camcal.targets.board import Board, Surface
 from camcal.targets.detection import BoardDetection
 from camcal.tasks.calibration.advise import pose_words

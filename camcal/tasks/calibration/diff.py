@@ -12,13 +12,13 @@ from camcal import files
 from camcal.cameras.model import Camera
 from camcal.errors import InvalidInput
 from camcal.formats import cameras, tables
+from camcal.formats.addresses import split_address
 from camcal.formats.camera_file import CameraEntry, CameraFile
 from camcal.formats.provenance import image_counts
 from camcal.messages import Message
 from camcal.quality.camera_comparison import Calibrated, CameraComparison, Excess, compare
 from camcal.report.table import Column
 from camcal.run.outputs import claim, writes
-from camcal.run.paths import split_address
 from camcal.tasks.calibration.options import DiffOptions
 from camcal.tasks.given_camera import (
     read_part,

@@ -5,15 +5,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from camcal.cameras.model import require_central
 from camcal.errors import InvalidInput
 from camcal.formats import cameras
+from camcal.formats.addresses import split_address
 from camcal.formats.camera_file import CameraFile
 from camcal.quality.range_uncertainty import CameraErrors, ErrorSize, camera_errors
 from camcal.quality.rig_geometry import DISPARITY_PX, PairErrors, pair_errors
 from camcal.records import Brief
 from camcal.report.table import Column
-from camcal.run.paths import split_address
-from camcal.tasks.given_camera import central_file
 from camcal.tasks.rigs.inspect_rig import RigInspection, inspect_rig
 
 COLUMNS = (
@@ -52,7 +52,7 @@ def errors_at_range(
     where = ""
     if not isinstance(calibration, CameraFile):
         path, named = split_address(str(calibration))
-        calibration, where, camera = central_file(cameras.read(path), path), str(path), camera or named
+        calibration, where, camera = cameras.read(path), str(path), camera or named
     if not distance > 0 or not (length is None or length > 0):
         raise InvalidInput(f"distances and lengths are positive; found {distance:g} and {length or 0:g} m")
     if camera is not None:
@@ -68,6 +68,8 @@ def errors_of_file(
     from camcal.tasks.calibration.diff import calibration_of  # `inspect` of a camera does not wait for it
 
     names = list(file.cameras) if camera is None else [camera]
+    for name in names:
+        require_central(file.cameras[name].camera.model, f"camera {name!r}")
     own = {name: calibration_of(f"camera {name!r}", file.cameras[name], file) for name in names}
     found = {name: camera_errors(own[name], file.cameras[name].boards, distance, length) for name in names}
     pairs = []

@@ -16,6 +16,7 @@ from camcal.calibrate.robot.start import closed_form
 from camcal.cameras.observations import Observations
 from camcal.errors import InvalidInput, NotConverged
 from camcal.formats import cameras, frames, native, provenance, robot_poses
+from camcal.formats.addresses import split_address
 from camcal.formats.camera_file import (
     STEP,
     CameraEntry,
@@ -32,7 +33,6 @@ from camcal.progress import SILENT, Progress, stage, warn_of
 from camcal.quality.camera_check import usable
 from camcal.report.handeye import SIGNIFICANT, HandEyeReport, report_of
 from camcal.run.outputs import claim, writes
-from camcal.run.paths import split_address
 from camcal.targets.board import Board, Surface
 from camcal.targets.detection import BoardDetection
 from camcal.tasks.calibration.board_views import board_views, view_settings

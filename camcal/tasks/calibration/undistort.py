@@ -17,6 +17,7 @@ from camcal.cameras.model import Camera
 from camcal.cameras.validity import ImageCircle
 from camcal.errors import CamcalError, InvalidInput
 from camcal.formats import cameras, native, provenance
+from camcal.formats.addresses import split_address
 from camcal.formats.camera_file import CalibrationVerdict, CameraEntry, CameraFile, verdict_of_view
 from camcal.formats.tables import Table, cell, csv_rows, numbered_lines
 from camcal.images.files import KINDS, load, save
@@ -29,7 +30,7 @@ from camcal.options import command_line
 from camcal.progress import SILENT, Outcome, Progress, reused, warn_of
 from camcal.run import fingerprint
 from camcal.run.outputs import claim, writes
-from camcal.run.paths import Media, find_media, names_file, refuse_collisions, require_one, split_address
+from camcal.run.paths import Media, find_media, names_file, refuse_collisions, require_one
 from camcal.tasks.calibration.drawing import Drawing, Drawn, Sources, require_success, same_shape
 from camcal.tasks.calibration.undistort_options import UndistortOptions
 from camcal.tasks.given_camera import outside_region, read_camera_file, require_no_image, view_outside_region

@@ -11,11 +11,11 @@ from camcal.cameras.model import Camera
 from camcal.cameras.validity import ImageCircle, field_size
 from camcal.errors import InvalidInput
 from camcal.formats import cameras
+from camcal.formats.addresses import split_address
 from camcal.messages import Message
 from camcal.optics import lens
 from camcal.optics.lens import SensorFormat, effective_f_number, pixel_pitch, sensor_format
 from camcal.records import entry
-from camcal.run.paths import split_address
 from camcal.tasks.given_camera import read_camera_file
 from camcal.tasks.lenses.options import OpticsOptions, is_possible
 from camcal.tasks.options import GivenCamera

@@ -21,12 +21,12 @@ from camcal.cameras.observations import Observations
 from camcal.cameras.validity import ImageCircle
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.formats import cameras
+from camcal.formats.addresses import split_address
 from camcal.formats.camera_file import CameraFile
 from camcal.messages import counted
 from camcal.parsing import did_you_mean
 from camcal.progress import SILENT, Progress
 from camcal.quality.lens_choice import alternative, rank_models
-from camcal.run.paths import split_address
 from camcal.targets.board import Board
 from camcal.targets.detection import BoardDetection
 from camcal.tasks.calibration.mixed_sizes import usual_size

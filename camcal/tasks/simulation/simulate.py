@@ -19,6 +19,7 @@ from camcal.cameras.catalogue import DEFAULT_MODEL, model_named
 from camcal.cameras.model import Camera, require_central
 from camcal.errors import CamcalError, InvalidInput
 from camcal.formats import boards, cameras, detections, native, poses, provenance
+from camcal.formats.addresses import split_address
 from camcal.formats.camera_file import CameraEntry, CameraFile, Transform, ValidRegion, rig_of
 from camcal.formats.poses import PoseKey, PoseRecord
 from camcal.formats.poses.record import PixelNoise
@@ -29,7 +30,6 @@ from camcal.progress import SILENT, Progress, require_all
 from camcal.run.fanout import fan_out
 from camcal.run.fingerprint import MANIFEST
 from camcal.run.outputs import claim, owned, writes
-from camcal.run.paths import split_address
 from camcal.simulate import mosaics
 from camcal.simulate.render import FLAT, Shape, render
 from camcal.simulate.scene import Truth, captures, make_camera, motion, observe, seen_by, view_name, views

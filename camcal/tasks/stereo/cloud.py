@@ -11,6 +11,7 @@ import numpy as np
 from camcal.arrays import Array, FloatArray
 from camcal.errors import InvalidInput
 from camcal.formats import disparity, disparity_sidecar, pointclouds, pose_text
+from camcal.formats.addresses import split_address
 from camcal.formats.disparity import DisparityMap
 from camcal.formats.disparity_sidecar import Sidecar
 from camcal.images.files import load
@@ -19,7 +20,7 @@ from camcal.parsing import parse_number
 from camcal.progress import SILENT, Collected, Progress, values_of, warn_of
 from camcal.records import OMITTED, entry
 from camcal.run.fanout import fan_out
-from camcal.run.paths import IMAGE_SUFFIXES, find_pairs, split_address
+from camcal.run.paths import IMAGE_SUFFIXES, find_pairs
 from camcal.run.process import over_threads
 from camcal.stereo.disparity import Confidence, StereoGeometry
 from camcal.stereo.points.cloud import CloudMaker, require_thinning, thinned

@@ -15,6 +15,7 @@ from camcal.arrays import FloatArray
 from camcal.cameras.model import Camera
 from camcal.errors import FileError, InvalidInput
 from camcal.formats import cameras, disparity, disparity_sidecar, pair_calibration
+from camcal.formats.addresses import split_address
 from camcal.formats.camera_file import CameraFile, Transform, pair_covariance
 from camcal.formats.cameras.record import MissingSize
 from camcal.formats.disparity import DisparityMap
@@ -22,7 +23,6 @@ from camcal.formats.disparity_sidecar import Sidecar
 from camcal.images.files import load
 from camcal.messages import Message
 from camcal.progress import SILENT, Progress
-from camcal.run.paths import split_address
 from camcal.stereo.disparity import StereoGeometry, of_pair, pinhole_intrinsics
 from camcal.stereo.points.calibration_error import CalibratedPair, CalibrationError, calibration_error
 from camcal.stereo.points.frames import StereoImage

@@ -16,6 +16,7 @@ from camcal.cameras.model import Camera
 from camcal.cameras.validity import ImageCircle
 from camcal.errors import CamcalError, InvalidInput
 from camcal.formats import provenance
+from camcal.formats.addresses import split_address
 from camcal.formats.camera_file import (
     STEP,
     CameraEntry,
@@ -32,7 +33,6 @@ from camcal.messages import Message
 from camcal.parsing import did_you_mean
 from camcal.progress import SILENT, Progress
 from camcal.raw.tiles import one_by_one
-from camcal.run.paths import split_address
 from camcal.run.process import keep_freed_memory, over_threads
 from camcal.stereo.disparity import Confidence, Disparity, of_rectification, too_few, why_not_rectified
 from camcal.stereo.matching.learned import learned_disparity
