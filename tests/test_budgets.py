@@ -17,15 +17,15 @@ LINES = {
     "__init__": 37,
     "__main__": 6,
     "arrays": 42,
-    "calibrate": 11008,
-    "cameras": 4098,
+    "calibrate": 11048,
+    "cameras": 4224,
     "cli": 3710,
     "errors": 137,
     "estimate": 8569,
     "files": 398,
-    "formats": 13912,
+    "formats": 13913,
     "geometry": 1006,
-    "images": 2180,
+    "images": 2191,
     "messages": 246,
     "opencv": 171,
     "optics": 299,
@@ -35,18 +35,18 @@ LINES = {
     "quality": 3253,
     "raw": 5015,
     "records": 155,
-    "report": 7340,
+    "report": 7341,
     "run": 3677,
     "simulate": 1709,
     "solve": 1846,
     "stereo": 5069,
     "system": 281,
     "targets": 7153,
-    "tasks": 25357,
+    "tasks": 25376,
     "urls": 99,
 }
-PARTS = {"modules": 509, "records": 729, "records named in one module": 208, "short functions with one reference": 483}
-PASSED = {"modules": 106, "functions": 1018, "records": 116}  # from a table of detections to a camera file
+PARTS = {"modules": 510, "records": 730, "records named in one module": 209, "short functions with one reference": 482}
+PASSED = {"modules": 106, "functions": 1021, "records": 116}  # from a table of detections to a camera file
 SHORT = 5  # lines of a function's body, which could as well stand where it is called
 
 

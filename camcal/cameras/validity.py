@@ -85,14 +85,16 @@ def folds_inside(camera: Camera, circle: ImageCircle | None = None) -> Fold:
 
 
 def valid_block(camera: Camera, circle: ImageCircle | None = None) -> dict[str, float]:
-    """Return max_theta_deg and max_radius_px: how far from the axis the model holds, as far as there is an image."""
+    """Return max_theta_deg, unless rays are parallel, and max_radius_px: how far from the axis the model holds, as far
+    as there is an image.
+    """
     border, fold = rim(camera, circle=circle)
+    reach = {"max_radius_px": min(fold.radius_px, fold.corner_px)}
+    if not camera.model.is_central:
+        return reach
     rays = camera.unproject(border).directions
     theta = np.arctan2(np.hypot(rays[:, 0], rays[:, 1]), rays[:, 2])
-    return {
-        "max_theta_deg": float(np.degrees(np.nanmax(theta))),
-        "max_radius_px": min(fold.radius_px, fold.corner_px),
-    }
+    return {"max_theta_deg": float(np.degrees(np.nanmax(theta))), **reach}
 
 
 def field_of_view(camera: Camera, circle: ImageCircle | None = None) -> tuple[float, float, float]:
@@ -142,7 +144,8 @@ def _fields(rays: Array) -> tuple[float, float, float]:
 def _openings(rays: Array) -> Array:
     """Return the angles (M,) between pairs of rays (M, 2, 3), through the axis, up to 2π."""
     across = rays[:, 1, :2] - rays[:, 0, :2]
-    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    length = np.linalg.norm(across, axis=1, keepdims=True)
+    across /= np.where(length > 0, length, np.nan)  # no angle is between parallel rays
     sideways = np.einsum("mi,mei->me", across, rays[:, :, :2])
     angles = np.arctan2(sideways, rays[:, :, 2])
     return np.asarray(angles[:, 1] - angles[:, 0])
@@ -239,7 +242,7 @@ def field_size(camera: Camera, distance: float, circle: ImageCircle | None = Non
     middle_x, middle_y = (width - 1) / 2, (height - 1) / 2
     ends = np.array([[-0.5, middle_y], [width - 0.5, middle_y], [middle_x, -0.5], [middle_x, height - 0.5]])
     ends = ends if circle is None else circle.clipped(np.array([middle_x, middle_y]), ends)
-    left, right, top, bottom = _on_plane(camera.unproject(ends).directions, distance)
+    left, right, top, bottom = _on_plane(camera.unproject(ends).at(), distance)
     return float(np.linalg.norm(right - left)), float(np.linalg.norm(bottom - top))
 
 

@@ -43,8 +43,8 @@ class ValidRegion:
     @classmethod
     def of(cls, camera: Camera, circle: ImageCircle | None = None) -> "ValidRegion":
         """Return how far a camera's model is one-to-one within its image, or within its image circle."""
-        limits = valid_block(camera, circle)
-        return cls(math.radians(limits["max_theta_deg"]), limits["max_radius_px"], image_circle=circle)
+        own = {"max_theta_deg": None, **valid_block(camera, circle)}
+        return cls(own["max_theta_deg"] and math.radians(own["max_theta_deg"]), own["max_radius_px"], None, circle)
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from camcal.cameras.model import Camera
-from camcal.cameras.validity import field_of_view
+from camcal.cameras.validity import field_of_view, field_size
 from camcal.errors import InvalidInput
 from camcal.formats import cameras, documents, emit, native
 from camcal.formats.camera_file import CameraEntry, CameraFile
@@ -123,6 +123,10 @@ def camera_lines(entry: CameraEntry, field_deg: tuple[float, float, float]) -> I
     """Yield what is known of one camera beside its parameters, a line each."""
     names = "horizontal", "vertical", "diagonal"
     known = [f"{name} {angle:.1f}°" for name, angle in zip(names, field_deg, strict=True) if math.isfinite(angle)]
+    if not entry.camera.model.is_central:
+        known = [
+            "{:.4g} x {:.4g} mm".format(*(1e3 * side for side in field_size(entry.camera, 1.0, entry.image_circle)))
+        ]
     yield "field of view " + (", ".join(known) or "unknown: the lens model is not valid at the edges of the image")
     if entry.valid is not None:
         yield "valid " + (", ".join(_valid_words(entry)) or "everywhere")

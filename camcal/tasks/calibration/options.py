@@ -248,7 +248,10 @@ class CalibrateOptions(CalibrationOptions):
     model: Annotated[
         str | None,
         Option(
-            lambda: f"Lens model: {lens_models()}. Default: opencv5, unless another one predicts views clearly better.",
+            lambda: (
+                f"Lens model: {lens_models()}. Default: opencv5, unless another one predicts views "
+                "clearly better; telecentric is used where it is asked for."
+            ),
             metavar="MODEL",
             group=LENS,
             suggested=lens_model_names,

@@ -221,7 +221,7 @@ def read_source(
 ) -> SourceCamera:
     """Return the camera that is meant; raises InvalidInput if that is not clear, and as `read_camera_file` does."""
     path, addressed = (None, None) if options.camera_file is None else split_address(options.camera_file)
-    file = read_camera_file(options.camera_file, options.given, progress, size_of_images)
+    file = read_camera_file(options.camera_file, options.given, progress, size_of_images, central=False)
     wanted = options.camera_name or addressed
     entry = cameras.select(file, wanted, str(path or "--camera-matrix"))
     name = cameras.name_in(file, wanted)
@@ -314,7 +314,7 @@ def undistort_points(options: UndistortOptions, progress: Progress = SILENT) -> 
 
 def move_pixels(source: Camera, target: Camera, pixels: Array) -> Array:
     """Return the pixels (N, 2) of `target` that look along the rays of pixels (N, 2) of `source`; NaN where none do."""
-    return target.project(source.unproject(pixels).directions).pixels
+    return target.project(source.unproject(pixels).at()).pixels
 
 
 def _lit(pixels: Array, circle: ImageCircle | None) -> Array:

@@ -16,7 +16,7 @@ import numpy as np
 
 from camcal import files, system
 from camcal.cameras.catalogue import DEFAULT_MODEL, model_named
-from camcal.cameras.model import Camera
+from camcal.cameras.model import Camera, require_central
 from camcal.errors import CamcalError, InvalidInput
 from camcal.formats import boards, cameras, detections, native, poses, provenance
 from camcal.formats.addresses import split_address
@@ -36,7 +36,7 @@ from camcal.simulate.scene import Truth, captures, make_camera, motion, observe,
 from camcal.targets.board import Board, Surface
 from camcal.targets.detection import Detections
 from camcal.targets.pattern import pattern_of
-from camcal.tasks.given_camera import read_part
+from camcal.tasks.given_camera import central_file, read_part
 from camcal.tasks.simulation.frames import clear_frames, fixed_pattern, how_made, take_frames, truth_entry
 from camcal.tasks.simulation.options import SimulateOptions
 
@@ -114,7 +114,7 @@ def _rig(options: SimulateOptions, progress: Progress) -> CameraFile | None:
     if options.camera is None:
         return None
     path, name = split_address(options.camera)
-    file = read_part(path, options.part, progress)
+    file = central_file(read_part(path, options.part, progress), path)
     if options.name or name or len(file.cameras) < MIN_CAMERAS:
         return None
     _require_no_lens(options)
@@ -164,6 +164,7 @@ def _camera(options: SimulateOptions, progress: Progress) -> Camera:
         if options.name is not None:
             raise InvalidInput(f"--camera {options.name} names one of a camera file, and none is given")
         model = model_named(options.model or DEFAULT_MODEL)
+        require_central(model)
         return make_camera(
             model, options.size or DEFAULT_SIZE, DEFAULT_FOV if options.fov is None else options.fov, options.distortion
         )
