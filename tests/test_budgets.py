@@ -18,7 +18,7 @@ LINES = {
     "__main__": 6,
     "arrays": 42,
     "calibrate": 11048,
-    "cameras": 4224,
+    "cameras": 4230,
     "cli": 3710,
     "errors": 137,
     "estimate": 8569,
@@ -46,7 +46,7 @@ LINES = {
     "urls": 99,
 }
 PARTS = {"modules": 510, "records": 730, "records named in one module": 209, "short functions with one reference": 482}
-PASSED = {"modules": 106, "functions": 1021, "records": 116}  # from a table of detections to a camera file
+PASSED = {"modules": 106, "functions": 1022, "records": 116}  # from a table of detections to a camera file
 SHORT = 5  # lines of a function's body, which could as well stand where it is called
 
 
