@@ -68,12 +68,12 @@ def require_whole(part: ImagePart, instead: str) -> None:
         raise InvalidInput(f"--crop, --binning and --scale-to go with {instead}")
 
 
-def read_part(path: Path, part: ImagePart, progress: Progress = SILENT) -> CameraFile:
-    """Return the content of a camera file, its cameras those of a part of their images.
+def read_part(path: Path, part: ImagePart, progress: Progress = SILENT, size: Size | None = None) -> CameraFile:
+    """Return the content of a camera file, its cameras those of a part of their images; size: where the file has none.
 
     Raises InvalidInput and FileError as `cameras.read` and `framed` do.
     """
-    return framed(cameras.read(path, progress), framing_of(part))
+    return framed(cameras.read(path, progress, Given(size)), framing_of(part))
 
 
 def _read_camera_file(

@@ -39,7 +39,7 @@ from camcal.run.paths import find_files
 from camcal.tasks.curves.fit_report import written
 from camcal.tasks.figure_files import write_figures
 from camcal.tasks.given_camera import read_part, require_whole
-from camcal.tasks.options import FIGURES, FigureOptions, ImagePart
+from camcal.tasks.options import CAMERA_SUFFIXES, FIGURES, FigureOptions, ImagePart
 from camcal.tasks.plot_documents import FIT, SENSOR, fit_file_plots, require, sensor_file_plots
 from camcal.tasks.rigs.inspect_rig import inspect_rig
 from camcal.tasks.show_options import PlotOptions
@@ -151,13 +151,13 @@ def drawable(path: Path, options: PlotOptions, progress: Progress) -> Drawable:
     suffix, reference = files.suffix_of(path), options.reference
     if suffix in _MAPS:
         return Drawable(path, "disparity", (disparity_map(disparity.read(path).matched()),))
+    if suffix in CAMERA_SUFFIXES and (suffix not in _TEXTS or suffix == ".txt") and cameras.is_camera_file(path):
+        return _camera(path, options.part, progress)
     if suffix not in _TEXTS:
         raise _unknown(path)
-    if suffix == ".vnl":
-        return Drawable(path, "detections", detection_plots(detections.read(path)))
     if suffix in (".tum", ".txt", ".kitti"):
         return _trajectory(path, reference)
-    if suffix == ".csv":
+    if suffix in (".csv", ".vnl"):
         return _table(path, reference)
     if suffix == ".xml" or cameras.is_camera_file(path):
         return _camera(path, options.part, progress)
@@ -171,7 +171,11 @@ def _unknown(path: Path) -> FileError:
 def _table(path: Path, reference: Path | None) -> Drawable:
     head = files.read_text(path)[:_HEAD]
     first = head.split("\n", 1)[0]
-    if first.startswith(detections_text.MAGIC) or first.split(",")[:4] == list(detections_text.COLUMNS[:4]):
+    if (
+        files.suffix_of(path) == ".vnl"
+        or first.startswith(detections_text.MAGIC)
+        or first.split(",")[:4] == list(detections_text.COLUMNS[:4])
+    ):
         return Drawable(path, "detections", detection_plots(detections.read(path)))
     if first.startswith(f"# {plain_poses.FORMAT} "):
         return Drawable(path, "poses", pose_plots(poses.read(path)))

@@ -128,3 +128,23 @@ def test_a_part_of_no_camera_is_refused(run, folder, tmp_path, monkeypatch, comm
 def test_a_crop_keeps_the_noise_of_a_calibration(run, folder, tmp_path):
     run("convert", folder / "camera.yaml", tmp_path / "part.yaml", "--crop", "640x400+60+30")
     assert cameras.read(tmp_path / "part.yaml").cameras["camera"].noise.sigma_px == 0.1
+
+
+def test_files_of_other_programs_are_shown_and_drawn(run, tmp_path):
+    """A size that the file does not say is given; a text file may be of cameras, not of a trajectory."""
+    kitti = tmp_path / "calib.txt"
+    kitti.write_text("".join(f"P{n}: 700 0 600 {-378 * n} 0 700 180 0 0 0 1 0\n" for n in range(2)))
+    code, out, _ = run("inspect", kitti, "--size", "1241x376", "--get", "cameras.cam0.image_size")
+    assert (code, json.loads(out)) == (0, [1241, 376])
+    code, _, err = run("inspect", kitti)
+    assert (code, "has no image size" in err) == (2, True)
+    names = ("cameras.txt", "camera.cameramodel", "camera.toml", "camera.json")
+    for name in names:
+        cameras.write(
+            tmp_path / name,
+            CameraFile({"camera": CameraEntry(LENS)}),
+            cameras.format_for(
+                tmp_path / name, "opencv" if name == "camera.json" else None, cameras.FORMATS["opencv"], by_suffix=True
+            ),
+        )
+        assert run("plot", tmp_path / name, "-o", tmp_path / f"{name}.png")[0] == 0, name
