@@ -30,7 +30,9 @@ from camcal.targets.board import Board
 
 PARTS = ("speed", "calibration")
 LENSES = [
-    name for name, model in MODELS.items() if not model.is_view and name not in ("pinhole", "splined_stereographic")
+    name
+    for name, model in MODELS.items()
+    if not model.is_view and model.is_central and name not in ("pinhole", "splined_stereographic")
 ]
 COUNT = 1_000_000
 SIZE, NOISE = (1280, 960), 0.15

@@ -203,7 +203,8 @@ def _inside(problem: BoardProblem, state: State, spline: SplinedStereographic) -
 def _with_spread(problem: BoardProblem, spread: float, noise_ratio: float, image_size: tuple[int, int]) -> BoardProblem:
     assert isinstance(problem.model, ReducedSpline)
     model = replace(problem.model, spread=spread, noise_ratio=noise_ratio)
-    return replace(problem, model=model, lens_spread=model.prior_std(image_size, float(model.start_values[0])))
+    stds = model.prior_std(image_size, float(model.start_values[0]))
+    return replace(problem, model=model, lens_spread=stds, lens_mean=None)
 
 
 def _as_weighed(problem: BoardProblem, state: State) -> BoardProblem:

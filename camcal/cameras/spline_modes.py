@@ -96,6 +96,10 @@ class ReducedSpline:
         return False
 
     @property
+    def is_central(self) -> bool:
+        return True
+
+    @property
     def opencv(self) -> str:
         return ""
 
