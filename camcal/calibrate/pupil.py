@@ -17,6 +17,7 @@ from camcal.calibrate.influence import influence
 from camcal.calibrate.noise import REJECTED
 from camcal.calibrate.problem import BoardProblem
 from camcal.records import Brief
+from camcal.solve.least_squares import assemble
 from camcal.solve.losses import student_bound
 from camcal.solve.steps import SingularError, Step, factorise
 
@@ -79,13 +80,14 @@ def _estimated(
     """Return the shift; problem: that of a lens with one centre, `central`, with one more parameter."""
     state, place, shift = estimate.state, len(central.free), 0.0
     kept = central.observations.weights >= REJECTED
-    for _ in range(_STEPS):
+    for number in range(_STEPS):
         derivatives = central.derivatives(state)
         column = -derivatives.by_point[:, 2] * (angles.ravel() / largest) ** 2
         by_lens = np.concatenate([derivatives.by_lens, column[:, None]], axis=1)
         moved = replace(derivatives, residuals=derivatives.residuals + shift * column, by_lens=by_lens)
         wider = replace(state, parameters=np.append(state.parameters, shift))
-        factors = factorise(problem.equations(wider, moved))
+        blocks, last = [problem.data(wider, moved), *problem.priors(wider)], number == _STEPS - 1
+        factors = factorise(assemble(blocks, problem.shared, *problem.groups, products=last))
         step = factors.solve()
         shift += float(step.shared[place])
         state = central.retract(state, Step(np.delete(step.shared, place), step.groups))
