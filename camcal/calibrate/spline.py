@@ -114,19 +114,20 @@ def fit_spline(
     start = _robust_problem(other)
     camera = Camera(other.problem.model, image_size, other.state.parameters)
     splines = [model] if chosen else _splines(camera, start, other.state)
-    place = int(len(splines) > 1)
-    problem, state = _fitted(start, other.state, camera, splines[place])
-    rest = splines if place else []
+    used = splines[len(splines) > 1]
+    problem, state = _fitted(start, other.state, camera, used)
+    rest = splines
     while len(rest) > 1:
         # all sizes are compared at the same place, with the noise of a lens that fits
         weighed = _as_weighed(problem, state)
         found = [_evidence(_normal(*_of_spline(weighed, other.state, camera, spline))) for spline in rest]
         scores = np.array([each.score for each in found])
         best = rest[int(np.argmax(scores > scores.max() - _ALIKE))]
-        if best == problem.model.spline:
+        if best == used:
             break
-        problem, state = _fitted(replace(start, sigma=problem.sigma), other.state, camera, best)
-        rest = splines[splines.index(best) :]  # with less noise finer ones may be better
+        used = best
+        problem, state = _fitted(replace(start, sigma=problem.sigma), other.state, camera, used)
+        rest = splines[splines.index(used) :]  # with less noise finer ones may be better
     whole = replace(problem, observations=start.observations)
     return estimate(whole, state, other.additional, brief=True), turns
 
