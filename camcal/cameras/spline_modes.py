@@ -46,16 +46,19 @@ class _ByModes(ProjectionJacobians):
         local, first = self.d_parameters.transpose(1, 2, 0), self.columns[:, core]
         found = np.empty((2, self.basis.shape[1], len(first)))
         found[:, :core] = local[:, :core]
-        order = np.argsort(first, kind="stable")
-        cells = np.split(order, np.flatnonzero(np.diff(first[order])) + 1) if len(order) else []
+        order = np.argsort(first, kind="stable")  # points of a cell side by side
+        place = np.empty_like(order)
+        place[order] = np.arange(len(order))
+        ends = np.append(np.flatnonzero(np.diff(first[order])) + 1, len(order))
         moved = np.empty((len(first), self.basis.shape[1] - core))
         for axis, rows in enumerate(found[:, core:]):
             own = slice(core + axis * taps, core + (axis + 1) * taps)
-            weights = np.ascontiguousarray(local[axis, own].T)
-            for cell in cells:
-                moved[cell] = weights[cell] @ self.basis[self.columns[cell[0], own], core:]
+            weights = np.ascontiguousarray(local[axis, own].T)[order]
+            for start, end in zip((0, *ends[:-1]), ends if len(order) else (), strict=False):
+                cell = self.columns[order[start], own]
+                np.matmul(weights[start:end], self.basis[cell, core:], out=moved[start:end])
             for start in range(0, len(moved), _TILE):
-                rows[:, start : start + _TILE] = moved[start : start + _TILE].T
+                rows[:, start : start + _TILE] = moved[place[start : start + _TILE]].T
         return found.transpose(2, 0, 1)
 
 
