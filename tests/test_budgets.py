@@ -23,7 +23,7 @@ LINES = {
     "errors": 137,
     "estimate": 8569,
     "files": 398,
-    "formats": 13921,
+    "formats": 13935,
     "geometry": 1006,
     "images": 2191,
     "messages": 246,
