@@ -123,7 +123,9 @@ def misfit(problem: BoardProblem, state: State, residuals: Array, most: float = 
         wrong, right = radii[found.gross[present]], np.sort(radii[~found.gross[present]])
         # Mann and Whitney, On a test of whether one of two random variables is stochastically larger, 1947
         outwards = float(np.searchsorted(right, wrong).mean() / len(right)) if len(wrong) and len(right) else np.nan
-        shared = _shared(problem.observations.pixels, residuals, present)
+        # corners that are numbered otherwise point to the middle of their board, which views may have in common as well
+        numbered = present & (distances < ROUGH * found.sides[:, None])
+        shared = _shared(problem.observations.pixels, residuals, numbered)
         return replace(found, roughness=roughness(problem), smoothness=smooth, outwards=outwards, shared=shared)
     return found
 
@@ -131,6 +133,8 @@ def misfit(problem: BoardProblem, state: State, residuals: Array, most: float = 
 def _shared(pixels: Array, residuals: Array, present: Array) -> bool:
     """Return whether residuals (2, V, P) of different views are alike at the same place of the image."""
     seen = present & np.isfinite(residuals).all(axis=0)
+    if not seen.any():
+        return False
     places, left = pixels[:, seen].T, residuals[:, seen].T
     length = np.hypot(*left.T)
     left = left * np.minimum(1.0, _FARTHEST * np.median(length) / np.maximum(length, FINEST))[:, None]
