@@ -225,7 +225,7 @@ def _show_diff(report: "DiffReport", verbose: bool) -> None:
 
 
 def convert(options: ConvertFileOptions, call: Call) -> None:
-    """Convert a camera file: camcal's own, OpenCV's FileStorage (YAML, XML, JSON), ROS camera_info, Kalibr's camchain.
+    """Convert a camera file, camcal's own or that of another program, into those of others.
 
     The format of IN follows from its content, that of each OUT from its suffix or --to. Lenses are written exactly or
     refused, unless --max-error accepts the nearest one. What else is known and a format does not store is named.

@@ -262,6 +262,17 @@ def test_a_fisheye_of_an_old_photonvision_is_refused_by_its_key(tmp_path):
         read(tmp_path, json.dumps(data | {"isFisheye": True}), "b.json")
 
 
+def test_what_opencv_does_with_a_pair_and_beyond_90_degrees_is_said(tmp_path):
+    wide = Camera(MODELS["kannala_brandt4"], (640, 480), [150.0, 150.0, 319.5, 239.5, 0.0, 0.0, 0.0, 0.0])
+    words = "wrong beyond 90 deg"
+    assert words in written(tmp_path, wide, "opencv").read_text()
+    assert words not in written(tmp_path, FISHEYE, "opencv").read_text()
+    for lens, word in ((BROWN, "use cv2.stereoRectify(M1"), (FISHEYE, "use cv2.fisheye.stereoRectify(M1")):
+        pair = CameraFile({"left": CameraEntry(lens), "right": CameraEntry(lens)}, {"right_T_left": Transform(PLACE)})
+        cameras.write(tmp_path / "pair.yml", pair, FORMATS["opencv"])
+        assert word in (tmp_path / "pair.yml").read_text()
+
+
 def test_photonvision_has_one_word_for_opencvs_lenses(tmp_path):
     """Its enumeration has no other one, and its reader refuses what is not in it."""
     for number, model in enumerate(("opencv5", "opencv8")):
