@@ -17,8 +17,8 @@ LINES = {
     "__init__": 37,
     "__main__": 6,
     "arrays": 42,
-    "calibrate": 11153,
-    "cameras": 4233,
+    "calibrate": 11242,
+    "cameras": 4251,
     "cli": 3710,
     "errors": 137,
     "estimate": 8569,
@@ -32,7 +32,7 @@ LINES = {
     "options": 396,
     "parsing": 86,
     "progress": 149,
-    "quality": 3253,
+    "quality": 3227,
     "raw": 5015,
     "records": 155,
     "report": 7363,
@@ -42,11 +42,11 @@ LINES = {
     "stereo": 5069,
     "system": 281,
     "targets": 7153,
-    "tasks": 25380,
+    "tasks": 25381,
     "urls": 99,
 }
-PARTS = {"modules": 511, "records": 731, "records named in one module": 209, "short functions with one reference": 483}
-PASSED = {"modules": 107, "functions": 1024, "records": 116}  # from a table of detections to a camera file
+PARTS = {"modules": 512, "records": 732, "records named in one module": 209, "short functions with one reference": 483}
+PASSED = {"modules": 108, "functions": 1027, "records": 117}  # from a table of detections to a camera file
 SHORT = 5  # lines of a function's body, which could as well stand where it is called
 
 
