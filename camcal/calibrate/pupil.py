@@ -16,10 +16,11 @@ from camcal.calibrate.estimator import Estimate
 from camcal.calibrate.influence import influence
 from camcal.calibrate.noise import REJECTED
 from camcal.calibrate.problem import BoardProblem
+from camcal.cameras.observations import whitened
 from camcal.records import Brief
 from camcal.solve.least_squares import assemble
 from camcal.solve.losses import student_bound
-from camcal.solve.steps import SingularError, Step, factorise
+from camcal.solve.steps import Jacobian, SingularError, Step, factorise
 
 _OUTER = 0.9  # of the largest angle
 _CLEARLY = 1.5  # times the bound that 95 % of what is none are within
@@ -58,44 +59,29 @@ def entrance_pupil(estimate: Estimate) -> EntrancePupil | None:
     largest = float(np.max(angles, where=kept, initial=0.0))
     if largest < _WIDE or not central.model.is_central or not len(central.free):
         return None
-    # one more parameter of the lens, without a prior
-    count = len(state.parameters)
-    mean = central.model.prior_mean if central.lens_mean is None else central.lens_mean
-    spread = np.full(count, np.inf) if central.lens_spread is None else central.lens_spread
-    problem = replace(
-        central,
-        free=np.append(central.free, count),
-        lens_mean=np.append(mean, 0.0),
-        lens_spread=np.append(spread, np.inf),
-    )
     try:
-        return _estimated(estimate, central, problem, angles, largest)
+        return _estimated(estimate, central, angles, largest)
     except (SingularError, np.linalg.LinAlgError):
         return None
 
 
-def _estimated(
-    estimate: Estimate, central: BoardProblem, problem: BoardProblem, angles: Array, largest: float
-) -> EntrancePupil:
-    """Return the shift; problem: that of a lens with one centre, `central`, with one more parameter."""
-    state, place, shift = estimate.state, len(central.free), 0.0
-    kept = central.observations.weights >= REJECTED
+def _estimated(estimate: Estimate, central: BoardProblem, angles: Array, largest: float) -> EntrancePupil:
+    """Return the shift, the last one of the parameters that views share, without a prior."""
+    state, place, shift, table = estimate.state, central.shared, 0.0, central.observations
     for number in range(_STEPS):
         derivatives = central.derivatives(state)
         column = -derivatives.by_point[:, 2] * (angles.ravel() / largest) ** 2
-        by_lens = np.concatenate([derivatives.by_lens, column[:, None]], axis=1)
-        moved = replace(derivatives, residuals=derivatives.residuals + shift * column, by_lens=by_lens)
-        wider = replace(state, parameters=np.append(state.parameters, shift))
-        blocks, last = [problem.data(wider, moved), *problem.priors(wider)], number == _STEPS - 1
-        factors = factorise(assemble(blocks, problem.shared, *problem.groups, products=last))
+        block = central.data(state, replace(derivatives, residuals=derivatives.residuals + shift * column))
+        root = None if table.whitening is None else table.whitening.reshape(2, 2, -1)
+        own = Jacobian(whitened(root, column)[:, None].transpose(2, 0, 1), np.array([place]))
+        blocks, last = [replace(block, shared=(*block.shared, own)), *central.priors(state)], number == _STEPS - 1
+        factors = factorise(assemble(blocks, place + 1, *central.groups, products=last))
         step = factors.solve()
         shift += float(step.shared[place])
-        state = central.retract(state, Step(np.delete(step.shared, place), step.groups))
-    own = replace(
-        estimate, problem=problem, state=wider, linearised=wider, factors=factors, posterior=posterior(factors)
-    )
-    scatter: Array = influence(own)[:, place]
-    std = np.sqrt(max(float(scatter @ scatter), own.posterior.shared[place, place]))
-    outer = (kept & (angles > _OUTER * largest)).ravel()
+        state = central.retract(state, Step(step.shared[:place], step.groups))
+    left = posterior(factors)
+    scatter: Array = influence(replace(estimate, factors=factors, posterior=left))[:, place]
+    std = np.sqrt(max(float(scatter @ scatter), left.shared[place, place]))
+    outer = ((table.weights >= REJECTED) & (angles > _OUTER * largest)).ravel()
     moved_px = abs(shift) * float(np.sqrt(np.mean(np.sum(column[:, outer] ** 2, axis=0))))
     return EntrancePupil(shift, float(std), largest, moved_px, len(scatter))

@@ -112,7 +112,8 @@ def misfit(problem: BoardProblem, state: State, residuals: Array, most: float = 
     most: the share of wrong corners beyond which it is asked why.
     """
     present = problem.observations.present
-    axes = problem.board.spacing * problem.derivatives(state).by_board(state.rotations)[..., :2]
+    posed = replace(problem, free=np.zeros(0, np.intp)).derivatives(state)  # those of the lens are not asked for
+    axes = problem.board.spacing * posed.by_board(state.rotations)[..., :2]
     areas = np.where(present, np.abs(np.linalg.det(axes)), np.nan)
     distances = np.where(np.isfinite(residuals).all(axis=0), np.hypot(*residuals), np.inf)
     found = Misfit(distances, np.sqrt(np.nanmedian(areas, axis=1)), present)
