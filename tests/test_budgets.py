@@ -23,7 +23,7 @@ LINES = {
     "errors": 137,
     "estimate": 8569,
     "files": 398,
-    "formats": 13935,
+    "formats": 13942,
     "geometry": 1006,
     "images": 2191,
     "messages": 246,
