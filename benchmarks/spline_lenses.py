@@ -66,6 +66,10 @@ def polynomial(*k: float) -> Formula:
     return lambda theta: theta * (1 + sum(each * theta ** (2 * power + 2) for power, each in enumerate(k)))
 
 
+def waves(theta: np.ndarray) -> np.ndarray:
+    return 0.004 * np.sin(7 * theta)
+
+
 LENSES = (
     Lens("tele 15", 4800, "opencv4", brown(0.3, 0.0), 20),
     Lens("normal 45", 1500, "opencv5", brown(-0.15, 0.08, -0.02), 60),
@@ -77,6 +81,7 @@ LENSES = (
     Lens("equisolid 170", 430, "kannala_brandt4", lambda theta: 2 * np.sin(theta / 2), 190),
     Lens("stereographic 160", 380, "kannala_brandt4", lambda theta: 2 * np.tan(theta / 2), 180),
     Lens("bump 80", 760, "opencv5", brown(-0.2, 0.05, -0.005), 110, bump_px=1.0),
+    Lens("waves 190", 380, "kannala_brandt4", lambda theta: 1.1 * np.sin(theta / 2) + 0.45 * theta + waves(theta), 190),
     Lens("bump 150", 460, "kannala_brandt4", polynomial(-0.025, 0.002), 170, bump_px=1.0),
 )
 

@@ -13,6 +13,7 @@ from camcal.arrays import Array
 from camcal.calibrate.effects import columns_at
 from camcal.calibrate.estimator import Estimate
 from camcal.calibrate.problem import POSE, Derivatives
+from camcal.calibrate.pupil import EntrancePupil, entrance_pupil
 from camcal.calibrate.single_views import ViewOffsets, followed
 from camcal.records import Brief
 from camcal.targets.board import RATIOS, basis
@@ -73,6 +74,7 @@ class BetweenViews(Brief):
 
     images: of all views, in their order. step, drift, outlying, unordered: of the focal length, from
     one view on, steadily, in single views, from view to view. blurred: views that are not as they are by chance.
+    pupil: how near and far boards differ, of a wide lens.
     """
 
     images: tuple[str, ...] = ()
@@ -83,6 +85,7 @@ class BetweenViews(Brief):
     proportions: Change = field(default_factory=Change)
     boards: TwoBoards = field(default_factory=TwoBoards)
     blurred: tuple[Blur, ...] = ()
+    pupil: EntrancePupil | None = None
 
 
 def between_views(estimates: Sequence[Estimate], images: Sequence[str]) -> BetweenViews:
@@ -121,6 +124,7 @@ def between_views(estimates: Sequence[Estimate], images: Sequence[str]) -> Betwe
         proportions=replace(ratio, images=later(ratio.images)),
         boards=boards,
         blurred=_blurred(full, names),
+        pupil=entrance_pupil(estimates[0]),
     )
 
 

@@ -102,7 +102,7 @@ def aberration(main: Camera, lens: ColourLens) -> Aberration:
     axes = [np.linspace(0, side - 1, count) for side, count in zip(main.image_size, _LATTICE, strict=True)]
     pixels = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
     rays = main.unproject(pixels)
-    seen = lens.camera.model.project_with_jacobians(lens.camera.parameters, rays.directions)
+    seen = lens.camera.model.project_with_jacobians(lens.camera.parameters, rays.at())
     both = rays.valid & seen.valid
     pixels, moved, by_lens = (
         pixels[both],

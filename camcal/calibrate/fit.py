@@ -165,8 +165,8 @@ def fit_briefly(
         state = minimise(problem.within_domain(state), state, _SETTLING).state
     problem = replace(problem.within_domain(state), sigma=_sigma(problem, state))
     state = minimise(problem, state, _FINE).state
-    spread = model.prior_std(image_size, float(state.parameters[0]))
-    return _oriented(replace(problem, observations=observations, lens_spread=spread), state, shape)
+    problem = _with_lens_priors(replace(problem, observations=observations), state, image_size)
+    return _oriented(problem, state, shape)
 
 
 def fit_like(
@@ -176,6 +176,8 @@ def fit_like(
     where the model cannot take all corners in the poses of that.
     """
     problem, state = other.problem, other.state
+    if model.is_central != problem.model.is_central:  # what are distances to one are none to the other
+        return None
     pixels = problem.observations.pixels + problem.residuals(state)
     kept = (problem.observations.weights >= REJECTED) & np.isfinite(pixels).all(axis=0)
     some = slice(None, None, max(int(kept.sum()) // _MAPPED, 1))
@@ -187,7 +189,7 @@ def fit_like(
     everything = replace(problem.observations, weights=problem.observations.present.astype(float), whitening=None)
     problem = replace(problem, model=model, free=np.flatnonzero(np.isnan(held)), loss=_LOSS, observations=everything)
     state = replace(state, parameters=lens)
-    problem = replace(problem, lens_spread=model.prior_std(image_size, float(lens[0])), noise=None)
+    problem = _with_lens_priors(replace(problem, noise=None), state, image_size)
     problem = replace(problem.within_domain(state), sigma=_sigma(problem, state))
     state = minimise(problem, state, _FINE).state
     problem = replace(problem, observations=everything)
@@ -279,6 +281,12 @@ def _start(problem: BoardProblem, image_size: tuple[int, int], held: Array, gues
     return state
 
 
+def _with_lens_priors(problem: BoardProblem, state: State, image_size: tuple[int, int]) -> BoardProblem:
+    """Return the problem with the weak priors of a lens of the focal length of `state`."""
+    model, focal = problem.model, float(state.parameters[0])
+    return replace(problem, lens_spread=model.prior_std(image_size, focal), lens_mean=model.start(image_size, focal))
+
+
 def _sigma(problem: BoardProblem, state: State) -> float:
     return robust_sigma(problem.distances(problem.residuals(state)), problem.observations.weights > 0)
 
@@ -312,8 +320,7 @@ def _settled(
     run after them before the poses have settled.
     """
     state = _start(problem, image_size, held, guess)
-    spread = problem.model.prior_std(image_size, float(state.parameters[0]))
-    problem = replace(problem, lens_spread=spread)
+    problem = _with_lens_priors(problem, state, image_size)
     names = problem.model.parameter_names
     everything = problem.free
     stages = [np.array([i for i in everything if names[i] in stage], np.intp) for stage in problem.model.stages]

@@ -56,15 +56,21 @@ def influence(estimate: Solution) -> Array:
     root = np.linalg.cholesky(covariance)
     if len(factors.shared_root) > len(covariance):
         kept, scores = _without_each(estimate)
-        shares = root.T @ kept @ root
+        shares, light = root.T @ kept @ root, np.zeros(len(scores), bool)
     else:
         scores = factors.group_scores()
-        shares = np.eye(len(root)) - root.T @ factors.group_information() @ root
-    values, vectors = np.linalg.eigh(shares)
+        leverages = root.T @ factors.group_information() @ root
+        shares = np.eye(len(root)) - leverages
+        # the largest leverage is no more than their sum: of such a view nothing is limited below
+        light = np.trace(leverages, axis1=1, axis2=2) < 1 - 1 / _SAFETY
+    pulls = scores @ root
+    pulls[light] = np.linalg.solve(shares[light], pulls[light, :, None])[..., 0]
+    values, vectors = np.linalg.eigh(shares[~light])
     left = np.clip(values, 1 - _LARGEST, 1)
-    pulls = np.einsum("gki,gk->gi", vectors, scores @ root) / np.maximum(left, np.sqrt(left / _SAFETY))
+    turned = np.einsum("gki,gk->gi", vectors, pulls[~light]) / np.maximum(left, np.sqrt(left / _SAFETY))
+    pulls[~light] = np.einsum("gki,gi->gk", vectors, turned)
     count = len(scores)
-    return np.asarray(np.sqrt((count - 1) / count) * np.einsum("gki,gi->gk", vectors, pulls) @ root.T)
+    return np.asarray(np.sqrt((count - 1) / count) * pulls @ root.T)
 
 
 def _without_each(estimate: Solution) -> tuple[Array, Array]:

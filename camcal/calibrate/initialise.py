@@ -17,7 +17,7 @@ from camcal.arrays import Array
 from camcal.calibrate.noise import CUT
 from camcal.calibrate.problem import BoardProblem, State
 from camcal.cameras.lens import CameraModel
-from camcal.cameras.observations import Observations, planar_poses
+from camcal.cameras.observations import Observations, affine_poses, planar_poses
 from camcal.geometry import rotation as so3
 from camcal.solve.descent import Stopping
 from camcal.solve.least_squares import minimise
@@ -70,6 +70,17 @@ def poses_from_rays(rays: Array, board: Board, observations: Observations) -> tu
     return rotations, translations * scale - rotations @ centre
 
 
+def poses_from_places(places: Array, board: Board, observations: Observations) -> tuple[Array, Array, Array]:
+    """Return camera_T_board of every view, rotations (V, 3, 3) and translations (V, 3), and how large the board appears
+    (V,), from places (2, V, P) under parallel projection; the boards stand in front, anywhere.
+    """
+    centre = np.array([*board.extent, 0.0]) / 2
+    points = (board.points() - centre)[observations.ids].transpose(2, 0, 1)
+    rotations, translations, sizes = affine_poses(places, points, observations.weights > 0)
+    away = np.array([0.0, 0.0, 2.0 * sum(board.extent)])
+    return rotations, translations + away - rotations @ centre, sizes
+
+
 def poses_from_pixels(
     model: CameraModel, parameters: Array, board: Board, observations: Observations
 ) -> tuple[Array, Array] | None:
@@ -77,8 +88,10 @@ def poses_from_pixels(
     rays = model.unproject(parameters, observations.pixels.reshape(2, -1).T)
     if not rays.valid[observations.weights.ravel() > 0].all():
         return None
-    directions = np.nan_to_num(rays.directions).T.reshape(3, *observations.weights.shape)
-    return poses_from_rays(directions, board, observations)
+    found = np.nan_to_num(rays.at()).T.reshape(3, *observations.weights.shape)
+    if not model.is_central:
+        return poses_from_places(found[:2], board, observations)[:2]
+    return poses_from_rays(found, board, observations)
 
 
 def sweep_focal(
@@ -95,6 +108,9 @@ def sweep_focal(
     few = thinned(observations.take(np.arange(len(observations.ids))[:: -(-len(observations.ids) // _SWEPT_VIEWS)]))
     best: tuple[float, float, State] | None = None
     candidates = list(_FOCALS) if fixed is None or np.isnan(fixed).any() else [1.0]
+    if len(candidates) > 1 and not model.is_central:  # every view shows how large its board appears
+        away = few.pixels - model.start(image_size, 1.0)[2:4, None, None]
+        candidates = [float(np.median(poses_from_places(away, board, few)[2])) / max(image_size)]
     for _ in range(2):
         for focal in candidates:
             parameters = model.start(image_size, focal * max(image_size))

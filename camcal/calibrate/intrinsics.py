@@ -215,12 +215,9 @@ def compare_models(
     options: Options,
     models: Sequence[CameraModel],
     start: CalibrationFit | None = None,
-    *,
-    by_lens: bool = False,
 ) -> tuple[CandidateModel, ...]:
     """Return how well lens models predict views, in their order, each with a brief calibration, which takes errors
-    within views for noise; options.model does not matter. start: the brief fit of another model to go on from. by_lens:
-    whether views may be of two cameras even where a wrong lens model is as likely.
+    within views for noise; options.model does not matter. start: the brief fit of another model to go on from.
 
     Raises InsufficientData for too few views.
     """
@@ -239,7 +236,7 @@ def compare_models(
             solved = Solved(fit, tuple(detections), tuple(reasons), size, None)
             try:
                 if start is None and not result:  # one answer does for all lens models
-                    mixed = _misfit(fit, own).may_be_mixed(own.max_rejected, by_lens)
+                    mixed = _misfit(fit, own).may_be_mixed(own.max_rejected)
                     groups = two_cameras(brief, solved.images, size, own.shape, own.named_groups, by_lens=mixed)
                     solved = replace(solved, cameras=groups)
                 _require_plausible(fit, solved.images, own, len(detections), solved.cameras)

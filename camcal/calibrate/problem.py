@@ -74,8 +74,9 @@ class BoardProblem:
     free: indices of the lens parameters that move. terms: the shape terms in use. offsets: whether the offsets of the
     board's points move as well. sigma: the noise of a pixel coordinate; priors count against it. points: (C, 3) the
     board as it is known to be, None for as drawn. lens_spread: (K,) standard deviations of the weak priors on the
-    lens parameters about the model's prior_mean, inf for none. term_std: (S,), offset_std: (3,) those of the
-    board's terms and offsets, in its unit; board_known: whether they stay as they are, not follow what views show.
+    lens parameters about lens_mean (K,), or else the model's prior_mean, inf for none. term_std: (S,), offset_std: (3,)
+    those of the board's terms and offsets, in its unit; board_known: whether they stay as they are, not follow what
+    views show.
     noise: (V,) the variance of a view's corners over that of a typical view; finest: px, the least it may be.
     """
 
@@ -89,6 +90,7 @@ class BoardProblem:
     loss: Loss | None = None
     points: Array | None = None
     lens_spread: Array | None = None
+    lens_mean: Array | None = None
     term_std: Array | None = None
     offset_std: Array | None = None
     board_known: bool = False
@@ -251,6 +253,8 @@ class BoardProblem:
         views = self.observations.ids.shape
         gradient = by_point.reshape(2, 3, *views)
         axes = [_dot(rotations[:, :, axis].T[:, :, None], gradient.transpose(1, 0, 2, 3)) for axis in range(3)]
+        if not self.model.is_central:
+            axes[2] = np.zeros_like(axes[2])  # of heights: their images have the sign of a tilt, which is open
         start, result = len(self.free), []
         if self.terms:
             values = np.zeros((2, len(self.terms), *views))
@@ -269,14 +273,25 @@ class BoardProblem:
 
     def priors(self, state: State) -> list[Block]:
         """Return the priors of the lens, of the board's terms and of the offsets."""
-        return self.lens_priors(state) + self.board_priors(state, len(self.free))
+        return self.lens_priors(state) + self.board_priors(state, len(self.free)) + self._pose_priors()
+
+    def _pose_priors(self) -> list[Block]:
+        """Return what holds poses where they are that no image of the lens shows: how far away a board is, and to which
+        side it is tilted where it is hardly tilted.
+        """
+        if self.model.is_central:
+            return []
+        views, side = len(self.observations.ids), max(self.board.extent)
+        slopes = np.tile(np.diag([1 / side, 1.0, 1.0]), (views, 1, 1))
+        return [Block(np.zeros((views, 3)), (), slopes, rows_per_group=1, group_columns=np.array([2, 3, 4]))]
 
     def lens_priors(self, state: State, start: int = 0) -> list[Block]:
         """Return the priors of the lens, whose free parameters stand from `start` on among those that views share."""
         if self.lens_spread is None or not len(self.free):
             return []
         spread = self.lens_spread[self.free]
-        apart = (state.parameters - self.model.prior_mean)[self.free]
+        mean = self.model.prior_mean if self.lens_mean is None else self.lens_mean
+        apart = (state.parameters - mean)[self.free]
         return [_prior(apart / spread, 1 / spread, start)]
 
     def held_by_prior(self, stds: Array) -> tuple[str, ...]:

@@ -11,9 +11,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.calibrate.noise import row_medians
+from camcal.calibrate.noise import FINEST, row_medians
 from camcal.calibrate.problem import BoardProblem, State
 from camcal.calibrate.several_cameras import SMOOTH, TwoCameras, smoothness
+from camcal.calibrate.shared_residuals import CellSums
 from camcal.calibrate.view_records import names_of, px_words
 from camcal.errors import InsufficientData
 from camcal.messages import Message, Value
@@ -32,6 +33,11 @@ _TWO_CAMERAS = 2.0
 # The median corner's distance from a smooth map of its view, in squares: real boards, seen by any lens, stay below
 # 0.04; corners numbered for another board are off by more than one.
 ROUGH, _DEGREE, _FEW = 0.3, 3, 16  # of the polynomial; corners of a view
+# What the residuals of different views have in common, over their own squares (0 to 0.1 of two cameras, above 0.9 of a
+# lens model that does not fit), and its chance.
+_SHARED = 0.5
+_CHANCE = 0.05
+_FARTHEST = 10.0  # medians: a corner counts with no more
 _OUTWARDS = 0.8  # probability: wrong corners are anywhere (0.5), those that a lens model does not reach are outside (1)
 
 MIN_VIEWS = 3
@@ -46,7 +52,8 @@ class Misfit:
     """distances: (V, P) px between corners and their projections, inf without one. sides: (V,) px of a square.
     roughness: see `roughness`, where too many corners are wrong or the median is too large; smoothness: of residuals,
     see `smoothness`, likewise: it tells a lens model that does not fit from corners that are wrong, and so does
-    outwards: the probability that a wrong corner is farther from the principal point than one that is not.
+    outwards: the probability that a wrong corner is farther from the principal point than one that is not, and shared:
+    whether the residuals of different views are alike at the same place of the image.
     """
 
     distances: Array
@@ -55,6 +62,7 @@ class Misfit:
     roughness: float = np.nan
     smoothness: float = np.nan
     outwards: float = np.nan
+    shared: bool = False
 
     @property
     def gross(self) -> Array:
@@ -71,19 +79,16 @@ class Misfit:
         """Whether no more than a share `most` of the corners are wrong, and the typical one is not."""
         return self.share <= most and self.median_px <= self.median_limit_px
 
-    def may_be_mixed(self, most: float, by_lens: bool) -> bool:
-        """Whether two cameras are a likely reason why views do not fit one lens; by_lens: even where residuals vary as
-        smoothly as those of a wrong lens model.
-        """
-        smooth = self.smoothness > SMOOTH and not by_lens
-        return not self.fits(most) and self.roughness <= ROUGH and not self.outside and not smooth
+    def may_be_mixed(self, most: float) -> bool:
+        """Whether two cameras are a likely reason why views do not fit one lens."""
+        return not self.fits(most) and self.roughness <= ROUGH and not self.of_lens
 
     @property
-    def outside(self) -> bool:
+    def of_lens(self) -> bool:
         """Whether ids are consistent and wrong corners are far from the centre, as those are that a lens model does not
-        reach.
+        reach, or views have the same residuals.
         """
-        return self.roughness <= ROUGH and self.outwards > _OUTWARDS
+        return self.roughness <= ROUGH and (self.outwards > _OUTWARDS or self.shared)
 
     @property
     def medians(self) -> Array:
@@ -107,7 +112,8 @@ def misfit(problem: BoardProblem, state: State, residuals: Array, most: float = 
     most: the share of wrong corners beyond which it is asked why.
     """
     present = problem.observations.present
-    axes = problem.board.spacing * problem.derivatives(state).by_board(state.rotations)[..., :2]
+    posed = replace(problem, free=np.zeros(0, np.intp)).derivatives(state)  # those of the lens are not asked for
+    axes = problem.board.spacing * posed.by_board(state.rotations)[..., :2]
     areas = np.where(present, np.abs(np.linalg.det(axes)), np.nan)
     distances = np.where(np.isfinite(residuals).all(axis=0), np.hypot(*residuals), np.inf)
     found = Misfit(distances, np.sqrt(np.nanmedian(areas, axis=1)), present)
@@ -118,8 +124,24 @@ def misfit(problem: BoardProblem, state: State, residuals: Array, most: float = 
         wrong, right = radii[found.gross[present]], np.sort(radii[~found.gross[present]])
         # Mann and Whitney, On a test of whether one of two random variables is stochastically larger, 1947
         outwards = float(np.searchsorted(right, wrong).mean() / len(right)) if len(wrong) and len(right) else np.nan
-        return replace(found, roughness=roughness(problem), smoothness=smooth, outwards=outwards)
+        # corners that are numbered otherwise point to the middle of their board, which views may have in common as well
+        numbered = present & (distances < ROUGH * found.sides[:, None])
+        shared = _shared(problem.observations.pixels, residuals, numbered)
+        return replace(found, roughness=roughness(problem), smoothness=smooth, outwards=outwards, shared=shared)
     return found
+
+
+def _shared(pixels: Array, residuals: Array, present: Array) -> bool:
+    """Return whether residuals (2, V, P) of different views are alike at the same place of the image."""
+    seen = present & np.isfinite(residuals).all(axis=0)
+    if not seen.any():
+        return False
+    places, left = pixels[:, seen].T, residuals[:, seen].T
+    length = np.hypot(*left.T)
+    left = left * np.minimum(1.0, _FARTHEST * np.median(length) / np.maximum(length, FINEST))[:, None]
+    width, height = (int(side) + 1 for side in places.max(axis=0))
+    found = CellSums.of(places, left, np.nonzero(seen)[0], (width, height))
+    return found.share > _SHARED and found.chance < _CHANCE
 
 
 def roughness(problem: BoardProblem) -> float:
@@ -160,10 +182,10 @@ def require_fit(
     if np.isfinite(found.median_px):
         how += f", the median by {px_words(found.median_px)} (limit {px_words(found.median_limit_px)})"
     order = "corner ids are consistent"
-    if found.outside:
-        text = (
-            f"{how}: {order} and the wrong ones are far from the image centre, so the lens model ({model}) does not fit"
-        )
+    if found.of_lens:
+        far = found.outwards > _OUTWARDS
+        why = "the wrong ones are far from the image centre" if far else "residuals of different views are alike"
+        text = f"{how}: {order} and {why}, so the lens model ({model}) does not fit"
         raise _refused("lens_model_does_not_fit", text)
     require_one_camera(cameras, how)
     wrong = gross.sum(axis=1) > _WRONG_VIEW * found.present.sum(axis=1)
@@ -290,4 +312,5 @@ def require_focal(focal: float, std: float) -> None:
     if not std < _MAX_FOCAL_ERROR * focal:
         text = f"focal length not determined by the views ({focal:.0f} ± {std:.0f} px)"
         values = {"focal_px": focal, "std_px": std}
-        raise _refused("undetermined_focal_length", f"{text}: add views tilted by 20° to 45° about both axes", values)
+        advice = "add views tilted by 20° to 45° about both axes; for a telecentric lens use --model telecentric"
+        raise _refused("undetermined_focal_length", f"{text}: {advice}", values)

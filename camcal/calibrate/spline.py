@@ -25,7 +25,7 @@ from camcal.cameras.model import Camera
 from camcal.cameras.observations import Observations
 from camcal.cameras.spline import CUBIC, SplinedStereographic
 from camcal.cameras.spline_modes import ReducedSpline, reduced_spline
-from camcal.cameras.validity import border_pixels
+from camcal.cameras.validity import rim
 from camcal.errors import InsufficientData
 from camcal.solve.descent import Stopping
 from camcal.solve.least_squares import minimise
@@ -36,12 +36,14 @@ from camcal.solve.steps import SingularError, lower_inverse
 _BASES = (WIDE_MODEL, DEFAULT_MODEL, "kannala_brandt5t")
 _CLEARLY = 1.5
 _SIZES = (8, 11, 15, 20)  # knots across the part of the plane that corners show
+_ALIKE = 1.0  # nat: of sizes that predict views alike, the coarsest is taken
 _SPREADS = np.geomspace(1e-6, 0.1, 51)  # of differences from the base lens, in units of the plane
 _ROUNDS, _SETTLED = 4, 0.1  # of the spread
 _FINE = Stopping(relative_decrease=1e-6, iterations=30)
 _LOSS = Cauchy(3.0)
 _WIDEST = 2 * np.tan(np.radians(345) / 4)  # half of the plane at most
-_MARGIN = 1.02  # of what the image shows, to be within the knots
+_MARGIN = 1.02  # of a corner's place, to be within the knots
+_AROUND = 1.08  # of the angle that the image shows: the end of the knots is no fold near the corners
 _BEYOND = 1.5  # of the outermost corner: no farther do the knots reach into an image that shows more
 _BLOCKS = 10  # of views, each predicted by the others
 _SEEN = 1e-6  # of the largest eigenvalue
@@ -112,14 +114,20 @@ def fit_spline(
     start = _robust_problem(other)
     camera = Camera(other.problem.model, image_size, other.state.parameters)
     splines = [model] if chosen else _splines(camera, start, other.state)
-    problem, state = _fitted(start, other.state, camera, splines[len(splines) > 1])
-    if len(splines) > 1:
+    used = splines[len(splines) > 1]
+    problem, state = _fitted(start, other.state, camera, used)
+    rest = splines
+    while len(rest) > 1:
         # all sizes are compared at the same place, with the noise of a lens that fits
         weighed = _as_weighed(problem, state)
-        found = [_evidence(_normal(*_of_spline(weighed, other.state, camera, spline))) for spline in splines]
-        best = splines[int(np.argmax([each.score for each in found]))]
-        if best != splines[1]:
-            problem, state = _fitted(replace(start, sigma=problem.sigma), other.state, camera, best)
+        found = [_evidence(_normal(*_of_spline(weighed, other.state, camera, spline))) for spline in rest]
+        scores = np.array([each.score for each in found])
+        best = rest[int(np.argmax(scores > scores.max() - _ALIKE))]
+        if best == used:
+            break
+        used = best
+        problem, state = _fitted(replace(start, sigma=problem.sigma), other.state, camera, used)
+        rest = splines[splines.index(used) :]  # with less noise finer ones may be better
     whole = replace(problem, observations=start.observations)
     return estimate(whole, state, other.additional, brief=True), turns
 
@@ -135,13 +143,14 @@ def _robust_problem(other: Estimate) -> BoardProblem:
 
 def _splines(camera: Camera, problem: BoardProblem, state: State) -> list[SplinedStereographic]:
     """Return splines with few and with many knots over what the image and the corners show."""
-    rays = camera.unproject(border_pixels(*camera.image_size))
+    rays = camera.unproject(rim(camera)[0])
     both = (rays.directions[rays.valid], _corners(problem, state)[0])
     image, seen = (
         np.abs(2 * each[:, :2] / (np.linalg.norm(each, axis=1) + each[:, 2])[:, None]).max(axis=0, initial=0.0)
         for each in both
     )
-    reach = np.minimum(np.maximum(np.minimum(image, _BEYOND * seen), seen) * _MARGIN, _WIDEST)
+    shown = np.maximum(np.minimum(image, _BEYOND * seen), seen)
+    reach = 2 * np.tan(np.minimum(_AROUND * np.arctan(shown / 2), np.arctan(_WIDEST / 2)))
     found = []
     for size in _SIZES:
         per_unit = (size - CUBIC) / (2 * _MARGIN * seen.max())
@@ -195,7 +204,8 @@ def _inside(problem: BoardProblem, state: State, spline: SplinedStereographic) -
 def _with_spread(problem: BoardProblem, spread: float, noise_ratio: float, image_size: tuple[int, int]) -> BoardProblem:
     assert isinstance(problem.model, ReducedSpline)
     model = replace(problem.model, spread=spread, noise_ratio=noise_ratio)
-    return replace(problem, model=model, lens_spread=model.prior_std(image_size, float(model.start_values[0])))
+    stds = model.prior_std(image_size, float(model.start_values[0]))
+    return replace(problem, model=model, lens_spread=stds, lens_mean=None)
 
 
 def _as_weighed(problem: BoardProblem, state: State) -> BoardProblem:

@@ -15,6 +15,7 @@ _FILES = {
     "sphere_models": "ucm eucm double_sphere mei",
     "short_models": "fov division orthographic equisolid",
     "angle_models": "ftheta ftheta_inverse ptlens ptlens_equisolid ptlens_stereographic ocam",
+    "telecentric": "telecentric",
     "panoramic": "cylinder equirectangular stereographic",
     "rectified_views": "cylinder_x latlon_x",
     "spline": "splined_stereographic",

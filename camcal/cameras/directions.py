@@ -79,8 +79,7 @@ def lens_difference(
     """Return by how much (N, 2), px, another camera images the directions elsewhere that one sees at pixels (N, 2),
     after the rotation that best undoes that; fitted, distances, NaN: as of `direction_displacements`, for either lens.
     """
-    rays = camera.unproject(pixels).directions
-    points = rays if distances is None else rays * distances[:, None]
+    points = camera.unproject(pixels).at(1.0 if distances is None else distances[:, None])
     for _ in range(_TURNS):
         found = other.model.project_with_jacobians(other.parameters, points)
         apart, by_motion = (found.pixels - pixels)[:, :, None], _by_motion(found, points, near=distances is not None)
@@ -169,7 +168,7 @@ def _jacobians(camera: Camera, pixels: Array, distances: Array | None = None) ->
     """Return the derivatives of pixels of unit rays, or of points at distances, by parameters (N, 2, K), point
     (N, 2, 3) and motion, see `_by_motion`.
     """
-    points = camera.unproject(pixels).directions * (1.0 if distances is None else distances[:, None])
+    points = camera.unproject(pixels).at(1.0 if distances is None else distances[:, None])
     projected = camera.model.project_with_jacobians(camera.parameters, points)
     by_motion = _by_motion(projected, points, near=distances is not None)
     return projected.by_parameters(len(camera.parameters)), projected.d_point, by_motion

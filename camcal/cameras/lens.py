@@ -50,10 +50,19 @@ class ProjectionJacobians:
 
 @dataclass(frozen=True, eq=False)
 class Rays(Brief):
-    """Unit directions (N, 3) in the camera frame, NaN where not valid, and the mask (N,)."""
+    """Unit directions (N, 3) in the camera frame, NaN where not valid, and the mask (N,).
+
+    origins: (N, 3) where the rays of a lens begin that is not central; None for the origin of the camera frame.
+    """
 
     directions: FloatArray
     valid: BoolArray
+    origins: FloatArray | None = None
+
+    def at(self, distance: Array | float = 1.0) -> FloatArray:
+        """Return the points (N, 3) on the rays at a distance, or at distances (N, 1), from where they begin."""
+        points = self.directions * distance
+        return points if self.origins is None else points + self.origins
 
 
 @dataclass(frozen=True)
@@ -71,12 +80,14 @@ class CameraModel(Protocol):
     """A lens model: a frozen value without state, so that one instance serves every camera of its kind.
 
     It owns all that is known of its kind. aliases: other names people have for it. summary: what it is, in a few words.
-    is_view: whether images are undistorted to it, rather than taken with it. opencv: the part of OpenCV that has this
-    model, its coefficients in the same order, "cv2" or "cv2.fisheye"; empty for none. stages: which parameters a
-    calibration frees first, which then; colour_stages: in which parameters the colours of one lens are let differ
-    first, and then. prior_std, prior_mean: the weak priors, inf for none; `start` has the same means. typical: the
-    parameters that are not zero in an ordinary lens. limits: what values a parameter may have in a file. configuration:
-    what it is besides its name, such as the knots of a spline; `configured` makes it another of its kind.
+    is_view: whether images are undistorted to it, rather than taken with it. is_central: whether all rays go through
+    the origin; else they have origins, and how far away a point is makes no difference to its image. opencv: the part
+    of OpenCV that has this model, its coefficients in the same order, "cv2" or "cv2.fisheye"; empty for none. stages:
+    which parameters a calibration frees first, which then; colour_stages: in which parameters the colours of one lens
+    are let differ first, and then. prior_std, prior_mean: the weak priors, inf for none; `start` has the same means,
+    and those of the principal point. typical: the parameters that are not zero in an ordinary lens. limits: what values
+    a parameter may have in a file. configuration: what it is besides its name, such as the knots of a spline;
+    `configured` makes it another of its kind.
 
     Points are in the camera frame (x right, y down, z forward, any unit); pixels have (0, 0) at the centre of the
     top-left pixel. Nothing raises on a point it cannot take: it is marked invalid and its numbers are NaN.
@@ -92,6 +103,8 @@ class CameraModel(Protocol):
     def summary(self) -> str: ...
     @property
     def is_view(self) -> bool: ...
+    @property
+    def is_central(self) -> bool: ...
     @property
     def opencv(self) -> str: ...
     @property

@@ -189,6 +189,16 @@ class Rig(Brief):
         return Rig(cameras, self.rig_T_camera, covariance)
 
 
+def require_central(model: CameraModel, where: str | None = None) -> None:
+    """Raise InvalidInput for a lens whose rays do not meet; where: the file that has it."""
+    if not model.is_central:
+        raise InvalidInput(
+            f"the rays of the lens model {model.name} are parallel: its images do not say how far away a thing is, as "
+            "is needed here; calibrate, inspect, plot and undistort take such a lens",
+            where=where,
+        )
+
+
 def resized(camera: Camera, image_size: tuple[int, int]) -> Camera:
     """Return the camera of the same images resized to (width, height), its covariance carried along.
 

@@ -254,6 +254,30 @@ def planar_poses(rays: Array, points: Array, mask: Array) -> tuple[Array, Array]
     return np.where(wrong[:, None, None], other, turns), np.where(wrong[:, None], behind, front)
 
 
+def affine_poses(places: Array, points: Array, mask: Array) -> tuple[Array, Array, Array]:
+    """Return camera_T_plane, rotations (W, 3, 3) and translations (W, 3), of planes z = 0 under parallel projection,
+    and how large (W,) they appear.
+
+    places: (2, W, N) across the axis, of points (3, W, N) of the planes where the mask (W, N) is True. A plane shrinks
+    by the cosine of its tilt in one direction: the affine map from it has the singular values s and s cos θ. Whether
+    it is tilted by θ or by -θ about the other direction no image says: it is by θ here. All stand at Z = 0.
+    """
+    present = mask.astype(float)
+    flat = np.stack([points[0] * present, points[1] * present, present])
+    seen = np.einsum("awn,bwn->wab", places * present, flat)
+    maps = seen @ np.linalg.pinv(np.einsum("awn,bwn->wab", flat, flat))
+    left, sizes, right = np.linalg.svd(maps[:, :, :2])
+    facing = np.linalg.det(left) * np.linalg.det(right)  # -1 for a plane that is seen from behind
+    cosine = facing * sizes[:, 1] / np.maximum(sizes[:, 0], np.finfo(float).tiny)
+    sine = np.sqrt(1 - cosine**2)
+    first, lean, last = (np.tile(np.eye(3), (len(maps), 1, 1)) for _ in range(3))
+    first[:, :2, :2], last[:, :2, :2] = left, right
+    first[:, :, 1] *= np.linalg.det(left)[:, None]
+    last[:, 1] *= np.linalg.det(right)[:, None]
+    lean[:, 1:, 1:] = np.stack([cosine, -sine, sine, cosine], axis=1).reshape(-1, 2, 2)
+    return first @ lean @ last, np.pad(maps[:, :, 2], ((0, 0), (0, 1))), sizes[:, 0]
+
+
 def _translations(rays: Array, flat: Array, rotations: Array) -> Array:
     """Return the translations (W, 3) that bring points, turned by rotations (W, 3, 3), nearest to their rays.
 

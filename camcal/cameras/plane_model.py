@@ -79,6 +79,7 @@ class PlaneModel(ABC):
 
     plane_parameters: ClassVar[tuple[Parameter, ...]] = ()
     is_view: ClassVar[bool] = False
+    is_central: ClassVar[bool] = True
     # The largest radius at which priors are taken: with the high powers of a larger one they would be tighter than the
     # coefficients of real lenses need, and the corner of an image may lie outside the image circle of a wide lens.
     prior_reach: ClassVar[float] = math.inf

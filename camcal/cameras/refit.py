@@ -9,7 +9,7 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.cameras.directions import grid_pixels, projection_covariances
 from camcal.cameras.lens import CameraModel
-from camcal.cameras.model import Camera
+from camcal.cameras.model import Camera, require_central
 from camcal.cameras.spline import CUBIC, SplinedStereographic
 from camcal.cameras.spline_modes import reduced_spline
 from camcal.cameras.validity import ImageCircle
@@ -60,6 +60,8 @@ def refit(camera: Camera, model: CameraModel, region: Region = _WHOLE) -> Refit:
     covariance, places count by their standard deviation, and the camera found has the covariance that follows.
     Raises InsufficientData if the camera has too few rays, or the model no lens near it.
     """
+    for either in (camera.model, model):
+        require_central(either)
     rays, pixels = _samples(camera, _FITTED, region)
     if 2 * len(rays) < len(model.parameter_names):
         raise InsufficientData(f"the lens has a ray for {len(rays)} of {_FITTED**2} pixels; none can be fitted to it")

@@ -30,6 +30,7 @@ _AROUND, _FAR_WEIGHT = 1.05, 1e-3  # of the outermost corner; the base lens may 
 _RANGE = 4.0  # knots over which differences are correlated
 _FEWEST_SHARE = 1e-7  # of the largest eigenvalue: modes that corners hardly see
 _MOST_MODES = 60  # for each axis
+_RADIAL = 5.0  # by how much lenses differ from their base alike all around, over by how much they do to one side
 _TILE = 256  # points that are transposed at a time, which stay in the cache
 
 
@@ -46,16 +47,19 @@ class _ByModes(ProjectionJacobians):
         local, first = self.d_parameters.transpose(1, 2, 0), self.columns[:, core]
         found = np.empty((2, self.basis.shape[1], len(first)))
         found[:, :core] = local[:, :core]
-        order = np.argsort(first, kind="stable")
-        cells = np.split(order, np.flatnonzero(np.diff(first[order])) + 1) if len(order) else []
+        order = np.argsort(first, kind="stable")  # points of a cell side by side
+        place = np.empty_like(order)
+        place[order] = np.arange(len(order))
+        ends = np.append(np.flatnonzero(np.diff(first[order])) + 1, len(order))
         moved = np.empty((len(first), self.basis.shape[1] - core))
         for axis, rows in enumerate(found[:, core:]):
             own = slice(core + axis * taps, core + (axis + 1) * taps)
-            weights = np.ascontiguousarray(local[axis, own].T)
-            for cell in cells:
-                moved[cell] = weights[cell] @ self.basis[self.columns[cell[0], own], core:]
+            weights = np.ascontiguousarray(local[axis, own].T)[order]
+            for start, end in zip((0, *ends[:-1]), ends if len(order) else (), strict=False):
+                cell = self.columns[order[start], own]
+                np.matmul(weights[start:end], self.basis[cell, core:], out=moved[start:end])
             for start in range(0, len(moved), _TILE):
-                rows[:, start : start + _TILE] = moved[start : start + _TILE].T
+                rows[:, start : start + _TILE] = moved[place[start : start + _TILE]].T
         return found.transpose(2, 0, 1)
 
 
@@ -93,6 +97,10 @@ class ReducedSpline:
     @property
     def is_view(self) -> bool:
         return False
+
+    @property
+    def is_central(self) -> bool:
+        return True
 
     @property
     def opencv(self) -> str:
@@ -209,20 +217,22 @@ def reduced_spline(base: Camera, rays: Array, weights: Array, spline: SplinedSte
     gram = _gram(grid, places, weights)
     modes, unseen = _modes(grid, gram)
     count, core = modes.shape[1], len(CORE)
+    radial = _RADIAL * operator.fit(_radial_fields(grid, operator.places), np.ones(len(operator.places)))
     both = np.zeros((len(modes), 2, 2 * count))
     both[:, 0, :count] = both[:, 1, count:] = modes
+    both = np.concatenate([both, radial], axis=2)
     # out of the modes what they share with base lens and rotations, over the corners
     seen = np.einsum("ij,jak->iak", gram, shared).reshape(-1, shared.shape[2])
-    flat, wide = shared.reshape(-1, shared.shape[2]), both.reshape(-1, 2 * count)
+    flat, wide = shared.reshape(-1, shared.shape[2]), both.reshape(-1, both.shape[2])
     scale = np.sqrt(np.maximum(np.einsum("ik,ik->k", flat, seen), np.finfo(float).tiny))
     shares = np.linalg.lstsq((flat / scale).T @ (seen / scale), (seen / scale).T @ wide, rcond=1e-9)[0]
     both = (wide - (flat / scale) @ shares).reshape(both.shape)
     knots = np.concatenate([[*focal, *centre], origin.ravel()])
-    basis = np.zeros((len(knots), len(base.parameters) + 2 * count))
+    basis = np.zeros((len(knots), len(base.parameters) + both.shape[2]))
     basis[:core, :core] = np.eye(core)
     basis[core:, core : len(base.parameters)] = of_base.reshape(len(knots) - core, -1)
     basis[core:, len(base.parameters) :] = both.reshape(len(knots) - core, -1)
-    start = np.concatenate([base.parameters, np.zeros(2 * count)])
+    start = np.concatenate([base.parameters, np.zeros(both.shape[2])])
     return ReducedSpline(spline, base.model, start, knots, basis, unseen)
 
 
@@ -312,3 +322,18 @@ def _modes(grid: Knots, gram: Array) -> tuple[Array, Array]:
     chosen = np.flatnonzero(strength > _FEWEST_SHARE * strength[-1])[-_MOST_MODES:][::-1]
     modes = root @ turned[:, chosen]
     return modes, root @ root.T - modes @ modes.T
+
+
+def _radial_fields(grid: Knots, places: Array) -> Array:
+    """Return the modes (N, 2, m) at places (N, 2) of a difference that is alike all around, of prior variance 1.
+
+    Along the radius it is an odd Matérn field of smoothness 2, (κ² - d²/dr²)^(5/4) x = white noise, of which these are
+    the waves that knots can follow.
+    """
+    radius = np.hypot(*places.T)
+    reach = radius.max()
+    waves = np.pi / reach * (np.arange(int(reach * grid.per_unit)) + 0.5)
+    stds = (16 * (grid.per_unit / _RANGE) ** 2 + waves**2) ** -1.25
+    along = np.sin(radius[:, None] * waves) * stds * np.sqrt(2 / np.sum(stds**2))
+    outwards = places / np.maximum(radius, np.finfo(float).tiny)[:, None]
+    return np.asarray(outwards[:, :, None] * along[:, None, :])

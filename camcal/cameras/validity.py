@@ -85,14 +85,16 @@ def folds_inside(camera: Camera, circle: ImageCircle | None = None) -> Fold:
 
 
 def valid_block(camera: Camera, circle: ImageCircle | None = None) -> dict[str, float]:
-    """Return max_theta_deg and max_radius_px: how far from the axis the model holds, as far as there is an image."""
+    """Return max_theta_deg, unless rays are parallel, and max_radius_px: how far from the axis the model holds, as far
+    as there is an image.
+    """
     border, fold = rim(camera, circle=circle)
+    reach = {"max_radius_px": min(fold.radius_px, fold.corner_px)}
+    if not camera.model.is_central:
+        return reach
     rays = camera.unproject(border).directions
     theta = np.arctan2(np.hypot(rays[:, 0], rays[:, 1]), rays[:, 2])
-    return {
-        "max_theta_deg": float(np.degrees(np.nanmax(theta))),
-        "max_radius_px": min(fold.radius_px, fold.corner_px),
-    }
+    return {"max_theta_deg": float(np.degrees(np.nanmax(theta))), **reach}
 
 
 def field_of_view(camera: Camera, circle: ImageCircle | None = None) -> tuple[float, float, float]:
@@ -107,12 +109,13 @@ def field_of_view(camera: Camera, circle: ImageCircle | None = None) -> tuple[fl
 
 def field_and_fold(camera: Camera, circle: ImageCircle | None = None) -> tuple[float, Fold]:
     """Return the horizontal field of view of `field_of_view`, and what `folds_inside` does, of one unprojection."""
-    edges = _edges(camera, circle)
+    edges = _edges(camera, circle)[:2]
     border = border_pixels(*camera.image_size)
     border = border if circle is None else circle.clipped(np.array([camera.value("cx"), camera.value("cy")]), border)
-    rays = camera.unproject(np.concatenate([edges, border]))
-    _, fold = rim(camera, circle=circle, nearest_only=True, seen=rays.valid[len(edges) :])
-    return _fields(rays.directions[: len(edges)])[0], fold
+    radial = _is_radial(camera)  # where it folds, its domain says
+    rays = camera.unproject(edges if radial else np.concatenate([edges, border]))
+    _, fold = rim(camera, circle=circle, nearest_only=True, seen=None if radial else rays.valid[2:])
+    return float(_openings(rays.directions[None, :2])[0]), fold
 
 
 def _edges(camera: Camera, circle: ImageCircle | None) -> Array:
@@ -141,7 +144,8 @@ def _fields(rays: Array) -> tuple[float, float, float]:
 def _openings(rays: Array) -> Array:
     """Return the angles (M,) between pairs of rays (M, 2, 3), through the axis, up to 2π."""
     across = rays[:, 1, :2] - rays[:, 0, :2]
-    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    length = np.linalg.norm(across, axis=1, keepdims=True)
+    across /= np.where(length > 0, length, np.nan)  # no angle is between parallel rays
     sideways = np.einsum("mi,mei->me", across, rays[:, :, :2])
     angles = np.arctan2(sideways, rays[:, :, 2])
     return np.asarray(angles[:, 1] - angles[:, 0])
@@ -190,13 +194,18 @@ def _radial_shares(camera: Camera, reach: Array) -> Array | None:
 
     None for any other lens.
     """
-    values = dict(zip(camera.model.parameter_names, camera.parameters.tolist(), strict=True))
-    if camera.model.is_view or "k1" not in values or any(values[name] for name in values if name[0] not in "fck"):
+    if not _is_radial(camera):
         return None
-    focal = values["fx"], values["fy"]
+    focal = camera.value("fx"), camera.value("fy")
     largest = camera.model.domain(camera.parameters).max_radius_px / min(focal)
     radii = np.hypot(*(reach / focal).T)
     return np.asarray(np.where(radii < largest, 1.0, (1 - _INSIDE) * largest / np.maximum(radii, _INSIDE)))
+
+
+def _is_radial(camera: Camera) -> bool:
+    """Return whether the distortion is along the radius alone, with as many terms as there are."""
+    values = dict(zip(camera.model.parameter_names, camera.parameters.tolist(), strict=True))
+    return not camera.model.is_view and "k1" in values and not any(values[key] for key in values if key[0] not in "fck")
 
 
 @lru_cache(maxsize=8)  # files of one size come many at a time
@@ -233,7 +242,7 @@ def field_size(camera: Camera, distance: float, circle: ImageCircle | None = Non
     middle_x, middle_y = (width - 1) / 2, (height - 1) / 2
     ends = np.array([[-0.5, middle_y], [width - 0.5, middle_y], [middle_x, -0.5], [middle_x, height - 0.5]])
     ends = ends if circle is None else circle.clipped(np.array([middle_x, middle_y]), ends)
-    left, right, top, bottom = _on_plane(camera.unproject(ends).directions, distance)
+    left, right, top, bottom = _on_plane(camera.unproject(ends).at(), distance)
     return float(np.linalg.norm(right - left)), float(np.linalg.norm(bottom - top))
 
 

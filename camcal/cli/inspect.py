@@ -13,8 +13,9 @@ from camcal.report.table import Column
 from camcal.tasks.calibration.check_options import CheckOptions
 from camcal.tasks.calibration.options import DiffOptions
 from camcal.tasks.convert_options import ConvertFileOptions
-from camcal.tasks.options import CAMERA_SUFFIXES, InspectOptions, PlotOptions
+from camcal.tasks.options import CAMERA_SUFFIXES
 from camcal.tasks.reports.options import ReportOptions, RerunOptions
+from camcal.tasks.show_options import InspectOptions, PlotOptions
 
 if TYPE_CHECKING:
     from camcal.tasks.calibration.check import CheckReport
@@ -224,7 +225,7 @@ def _show_diff(report: "DiffReport", verbose: bool) -> None:
 
 
 def convert(options: ConvertFileOptions, call: Call) -> None:
-    """Convert a camera file: camcal's own, OpenCV's FileStorage (YAML, XML, JSON), ROS camera_info, Kalibr's camchain.
+    """Convert a camera file, camcal's own or that of another program, into those of others.
 
     The format of IN follows from its content, that of each OUT from its suffix or --to. Lenses are written exactly or
     refused, unless --max-error accepts the nearest one. What else is known and a format does not store is named.

@@ -43,8 +43,8 @@ class ValidRegion:
     @classmethod
     def of(cls, camera: Camera, circle: ImageCircle | None = None) -> "ValidRegion":
         """Return how far a camera's model is one-to-one within its image, or within its image circle."""
-        limits = valid_block(camera, circle)
-        return cls(math.radians(limits["max_theta_deg"]), limits["max_radius_px"], image_circle=circle)
+        own = {"max_theta_deg": None, **valid_block(camera, circle)}
+        return cls(own["max_theta_deg"] and math.radians(own["max_theta_deg"]), own["max_radius_px"], None, circle)
 
 
 @dataclass(frozen=True)
@@ -203,7 +203,7 @@ class Framing:
 def framed(file: CameraFile, framing: Framing) -> CameraFile:
     """Return a file for other images, with all covariances.
 
-    Figures in pixels of the usual images (residuals, noise, uncertainty, regions) are left out.
+    Figures in pixels of the usual images (residuals, uncertainty, regions; noise but of a crop) are left out.
     Raises InvalidInput as `Framing.of` does.
     """
     if framing == Framing():
@@ -218,7 +218,7 @@ def framed(file: CameraFile, framing: Framing) -> CameraFile:
             verdict=verdict_of_view(entry.verdict),
             projection=(),
             quality={},
-            noise=None,
+            noise=entry.noise if framing == Framing(framing.crop) else None,
         )
         for name, entry in file.cameras.items()
     }

@@ -287,7 +287,8 @@ def implausible(file: CameraFile) -> Iterator[Message]:
             yield Message("unlikely_aspect", text, {"fx_over_fy": ratio}, child(path, "intrinsics"))
         if not entry.camera.model.is_view:  # a view, not a lens: it may show all around
             horizontal, fold = field_and_fold(entry.camera, entry.image_circle)
-            yield from _opening(horizontal, child(path, "intrinsics"))
+            if entry.camera.model.is_central:
+                yield from _opening(horizontal, child(path, "intrinsics"))
             yield from _folding(fold, entry, child(path, "distortion"))
         yield from _quality(entry, child(path, "quality"))
         yield from untrustworthy(entry, child(path, "verdict"))

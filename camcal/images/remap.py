@@ -227,7 +227,7 @@ class Trace:
     def positions(self, x: Array, y: Array) -> Array:
         """Return the source pixels (2, ...) of view pixels x, y, broadcast against each other; NaN where none is."""
         x, y = np.broadcast_arrays(x, y)
-        rays = self.view.unproject(np.column_stack([x.ravel(), y.ravel()])).directions
+        rays = self.view.unproject(np.column_stack([x.ravel(), y.ravel()])).at()
         if self.source_R_view is not None:
             rays = rays @ self.source_R_view.T
         pixels = self.source.project(rays).pixels

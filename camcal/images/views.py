@@ -8,7 +8,8 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.cameras import panoramic
 from camcal.cameras.catalogue import model_named
-from camcal.cameras.model import Camera
+from camcal.cameras.lens import CameraModel
+from camcal.cameras.model import Camera, require_central
 from camcal.cameras.validity import ImageCircle, rim
 from camcal.errors import InvalidInput
 from camcal.images.options import PINHOLE, WIDEST_PINHOLE_DEG, ViewOptions, refuse_pinhole, widest_deg
@@ -30,9 +31,10 @@ def make_view(camera: Camera, options: ViewOptions | None = None, circle: ImageC
     """
     options = options or ViewOptions()
     size = options.size or camera.image_size
+    if not camera.model.is_central and (options.projection != PINHOLE or options.fov_deg is not None):
+        require_central(camera.model)
     if options.keep_k:
-        model = model_named(PINHOLE)
-        parameters = np.array([camera.value(name) for name in model.parameter_names])
+        model, parameters = _undistorted(camera, camera.parameters[:4])
         scale = size[0] / camera.image_size[0], size[1] / camera.image_size[1]
         return Camera(model, size, model.rescale(parameters, scale, (0.0, 0.0)))
     if options.projection == PINHOLE and options.fov_deg is None:
@@ -44,6 +46,14 @@ def make_view(camera: Camera, options: ViewOptions | None = None, circle: ImageC
     model = model_named(PINHOLE) if options.projection == PINHOLE else PANORAMAS[options.projection]
     half_width = np.tan(fov / 2) if options.projection == PINHOLE else PANORAMAS[options.projection].half_width(fov)
     return Camera(model, size, model.start(size, size[0] / 2 / half_width))
+
+
+def _undistorted(camera: Camera, core: Array) -> tuple[CameraModel, Array]:
+    """Return the lens without distortion whose images have straight lines, with parameters that begin with these (4,):
+    a pinhole, or with parallel rays such a lens.
+    """
+    model = model_named(PINHOLE) if camera.model.is_central else camera.model
+    return model, np.concatenate([core, np.zeros(len(model.parameter_names) - len(core))])
 
 
 def seen_across(camera: Camera, circle: ImageCircle | None = None) -> float:
@@ -76,7 +86,7 @@ def _crop(camera: Camera, circle: ImageCircle | None, alpha: float, size: tuple[
         refuse_pinhole(widest)
     inner = _without_empty_pixels(camera, circle, inner, size)
     outer = enclosing_box(outline, None if stretch else shape)
-    return _fill((1 - alpha) * inner + alpha * outer, size)
+    return _fill(camera, (1 - alpha) * inner + alpha * outer, size)
 
 
 def _without_empty_pixels(camera: Camera, circle: ImageCircle | None, box: Array, size: tuple[int, int]) -> Array:
@@ -84,7 +94,7 @@ def _without_empty_pixels(camera: Camera, circle: ImageCircle | None, box: Array
     middle = (box[:2] + box[2:]) / 2
     for shrink in _SHRINKS:
         smaller = np.tile(middle, 2) + (1 - shrink) * (box - np.tile(middle, 2))
-        if _is_full(Trace(camera, _fill(smaller, size), circle=circle)):
+        if _is_full(Trace(camera, _fill(camera, smaller, size), circle=circle)):
             return smaller
     raise _no_crop(size)
 
@@ -104,18 +114,19 @@ def _is_full(trace: Trace) -> bool:
     return all(bool(((where >= 0) & (where <= last)).all()) for where in positions)
 
 
-def _fill(box: Array, size: tuple[int, int]) -> Camera:
-    """Return the pinhole whose outermost pixel centres are the edges of a box (left, top, right, bottom) at Z = 1."""
+def _fill(camera: Camera, box: Array, size: tuple[int, int]) -> Camera:
+    """Return the view whose outermost pixel centres are the edges of a box (left, top, right, bottom) at Z = 1."""
     if not (box[2:] - box[:2] > _NARROWEST).all():
         raise _no_crop(size)
     focal = (np.array(size) - 1) / (box[2:] - box[:2])
-    return Camera(model_named(PINHOLE), size, np.concatenate([focal, -box[:2] * focal]))
+    model, parameters = _undistorted(camera, np.concatenate([focal, -box[:2] * focal]))
+    return Camera(model, size, parameters)
 
 
 def _outline(camera: Camera, circle: ImageCircle | None, per_edge: int = _PER_EDGE) -> Array:
-    """Return unit rays (N, 3) around all that the camera sees."""
+    """Return points (N, 3) around all that the camera sees, at distance 1."""
     rays = camera.unproject(rim(camera, per_edge, circle)[0])
-    return np.asarray(rays.directions[rays.valid])
+    return np.asarray(rays.at()[rays.valid])
 
 
 def _angles(rays: Array) -> Array:

@@ -14,8 +14,10 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.calibrate.intrinsics import Calibration, CandidateModel
+from camcal.calibrate.shared_residuals import CELLS, cell_numbers
 from camcal.calibrate.view_records import names_of
 from camcal.cameras.directions import lens_difference
+from camcal.cameras.spline import SplinedStereographic
 from camcal.cameras.validity import ImageCircle, folds_inside
 from camcal.messages import Message, counted
 from camcal.quality.criteria import CRITERIA, KNOWN_PX, between_views, largest_tilt_deg, message
@@ -27,7 +29,7 @@ from camcal.quality.projection_uncertainty import (
     projection_uncertainty,
     with_bias,
 )
-from camcal.quality.residual_pattern import CELLS, Pattern, cell_numbers, find_patterns
+from camcal.quality.residual_pattern import Pattern, find_patterns
 from camcal.records import Brief
 from camcal.targets.board_types import BOARD_TYPES
 
@@ -150,7 +152,9 @@ def _fold(calibration: Calibration, circle: ImageCircle | None, others: str) -> 
     outermost = float(np.linalg.norm(calibration.pixels - centre, axis=1).max())
     end = "image corner" if circle is None else "end of the image circle"
     where = f"beyond {fold.radius_px:.0f} px from the centre; the {end} is at {fold.corner_px:.0f} px"
-    if fold.radius_px < _limit("not_invertible") * outermost:
+    # a spline ends near its corners and does not bend before that
+    spline = isinstance(calibration.camera.model, SplinedStereographic)
+    if fold.radius_px < outermost * (1.0 if spline else _limit("not_invertible")):
         text = f"distortion is not invertible {where}: {others or 'add views with the board in the image corners'}"
         yield message("not_invertible", text, fold.radius_px / outermost)
     else:

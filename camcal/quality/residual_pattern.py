@@ -1,7 +1,6 @@
 """Patterns of residuals: what a lens model leaves that does not describe the lens.
 
-Noise, poses and what is wrong with single images differ between views; what residuals of different views share at the
-same place of the image is the lens's.
+They follow the radius, or different views share them at the same place of the image.
 """
 
 from typing import NamedTuple
@@ -10,17 +9,16 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.calibrate.intrinsics import Calibration
+from camcal.calibrate.shared_residuals import CellSums, cell_numbers
 from camcal.solve.losses import chi_square_beyond
 
 _CHANCE = 1e-6  # of residuals that follow the radius by so much, if the lens model were right
 _RINGS = 8
-CELLS = (10, 8)
 # Chance of residuals that different views share, if the lens model were right: ten views that all agree have it.
 _SHARED_CHANCE = 1e-3
 _SHARED = 1 / 3  # of the standard deviation of the map: a pattern below it, RMS, is among what that states
 _VIEWS = 3  # of a cell, with fewer there is nothing that they share
 _FARTHEST = 10.0  # standard deviations: a rejected corner counts with no more
-_MOST_DOF = 200  # beyond which a sum of squares is as good as normal
 
 
 class Pattern(NamedTuple):
@@ -72,20 +70,14 @@ def radial_pattern(calibration: Calibration, pixels: Array) -> Pattern | None:
 def shared_pattern(calibration: Calibration, pixels: Array, stated_px: float) -> Pattern | None:
     """Return what the residuals of different views share in the cells of a grid over the image, None where it may be by
     chance or is among what the standard deviation of the map states.
-
-    With the sums S of the residuals of views in n corners of a cell, the products S_v · S_w / n of all pairs of views
-    add up to the square of what they share, free of the noise of either; if each view's sign were random, to zero.
     """
     places, residuals, views = _with_rejected(calibration)
-    cells = cell_numbers(places, calibration.camera.image_size)
-    shape = int(views.max(initial=-1)) + 1, CELLS[0] * CELLS[1]
-    counts, sums = np.zeros(shape), np.zeros((*shape, 2))
-    np.add.at(counts, (views, cells), 1)
-    np.add.at(sums, (views, cells), residuals)
-    total = counts.sum(axis=0)
-    weighed = (sums / np.sqrt(np.maximum(total, 1))[:, None]).reshape(len(sums), -1)
-    if _chance(weighed) >= _SHARED_CHANCE:
+    size = calibration.camera.image_size
+    found = CellSums.of(places, residuals, views, size)
+    if found.chance >= _SHARED_CHANCE:
         return None
+    sums, counts, cells = found.sums, found.counts, cell_numbers(places, size)
+    total = counts.sum(axis=0)
     pairs = total**2 - (counts**2).sum(axis=0)
     whole = sums.sum(axis=0)
     squares = np.sum(whole**2, axis=1) - np.sum(sums**2, axis=(0, 2))
@@ -97,7 +89,7 @@ def shared_pattern(calibration: Calibration, pixels: Array, stated_px: float) ->
     worst = int(np.argmax(sizes))
     u, v = places[cells == worst].mean(axis=0)
     words = f"residuals of different views point the same way, by {sizes[worst]:.2f} px near ({u:.0f}, {v:.0f})"
-    return Pattern(float(sizes[worst]), words, means[cell_numbers(pixels, calibration.camera.image_size)])
+    return Pattern(float(sizes[worst]), words, means[cell_numbers(pixels, size)])
 
 
 def _with_rejected(calibration: Calibration) -> tuple[Array, Array, Array]:
@@ -113,25 +105,3 @@ def _with_rejected(calibration: Calibration) -> tuple[Array, Array, Array]:
         np.concatenate([calibration.residuals, np.reshape(near, (-1, 2))]),
         np.concatenate([calibration.corner_views, np.array([places[own.image] for own in lost], np.intp)]),
     )
-
-
-def _chance(rows: Array) -> float:
-    """Return the probability that the products of all pairs of rows (V, K) add up to more, with a random sign for each.
-
-    The sum is taken for a sum of squares with the same first three moments, of the matrix A = rows rowsᵀ without its
-    diagonal: its variance is 2 tr A², its skewness by that of tr A³. Source: Pearson 1959, for quadratic forms.
-    """
-    gram, own = rows.T @ rows, np.sum(rows**2, axis=1)
-    second = float(np.sum(gram**2) - np.sum(own**2))
-    third = float(np.trace(gram @ gram @ gram) - 3 * own @ np.sum((rows @ gram) * rows, axis=1) + 2 * np.sum(own**3))
-    if second <= 0:
-        return 1.0
-    clear = float(np.sum(rows.sum(axis=0) ** 2) - own.sum()) / np.sqrt(2 * second)
-    dof = int(np.clip(np.rint(second**3 / max(third**2, 1e-300)), 1, _MOST_DOF)) if third > 0 else _MOST_DOF
-    return chi_square_beyond(dof + clear * np.sqrt(2 * dof), dof)
-
-
-def cell_numbers(pixels: Array, image_size: tuple[int, int]) -> Array:
-    """Return the numbers (N,) of the cells of the grid in which pixels (N, 2) lie, column by column."""
-    places = np.clip((pixels + 0.5) // (np.array(image_size) / CELLS), 0, np.array(CELLS) - 1).astype(np.intp)
-    return np.asarray(places[:, 0] * CELLS[1] + places[:, 1])

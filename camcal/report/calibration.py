@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from math import degrees
 from typing import Any
 
 from camcal.arrays import Array
@@ -87,6 +88,7 @@ def summary(calibration: Calibration) -> list[str]:
         *held,
         *_noise_lines(calibration),
         *_within_views_lines(calibration),
+        *_pupil_lines(calibration),
         *_board_lines(calibration),
     ]
 
@@ -114,6 +116,17 @@ def _within_views_lines(calibration: Calibration) -> list[str]:
     if errors.share > 0 and not lines:
         lines.append("Errors within views of unknown cause: included in the standard deviations")
     return lines
+
+
+def _pupil_lines(calibration: Calibration) -> list[str]:
+    """Return how far the lens is from having one centre, where that is clear."""
+    pupil = calibration.between_views.pupil
+    if pupil is None or not pupil.seen:
+        return []
+    factor, unit = length_unit(calibration.board)
+    shift, std = value_and_std(factor * pupil.shift, factor * pupil.std)
+    moved = f"Entrance pupil moves by {shift} ± {std} {unit} to {degrees(pupil.angle):.0f}°"
+    return [f"{moved}: there boards and things far away in one direction are {pupil.moved_px:.2g} px apart"]
 
 
 def _board_lines(calibration: Calibration) -> list[str]:
@@ -155,6 +168,7 @@ def as_data(calibration: Calibration) -> dict[str, Any]:
         "held_by_prior": list(calibration.held_by_prior),
         "noise_std": {name: noise.std(name) for name in noise.model.parameter_names},
         "within_views": _within_views(calibration),
+        "entrance_pupil": _pupil(calibration),
         "two_cameras": None if calibration.two_cameras is None else dict(vars(calibration.two_cameras)),
         "rms_px": calibration.rms_px,
         "sigma_px": calibration.sigma_px,
@@ -199,6 +213,14 @@ def uncertainty_data(uncertainty: ProjectionUncertainty) -> dict[str, Any]:
             "inside": None if inside is None else inside.reshape(shape).tolist(),
         },
     }
+
+
+def _pupil(calibration: Calibration) -> dict[str, Any] | None:
+    pupil = calibration.between_views.pupil
+    if pupil is None:
+        return None
+    own = {"shift": pupil.shift, "std": pupil.std, "angle_deg": degrees(pupil.angle), "moved_px": pupil.moved_px}
+    return {**own, "seen": pupil.seen}
 
 
 def _within_views(calibration: Calibration) -> dict[str, Any]:

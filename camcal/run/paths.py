@@ -108,24 +108,6 @@ def require_there(path: Path) -> None:
         raise FileError(_missing(path), where=str(path))
 
 
-def split_address(text: str) -> tuple[Path, str | None]:
-    """Return the file and the camera of an address such as 'rig.yaml#left'; the camera is None without '#'.
-
-    A file whose own name holds a '#' is found first; a topic of a bag stands for the camera of its namespace. Raises
-    InvalidInput if no name follows the '#'.
-    """
-    path, mark, camera = text.rpartition("#")
-    if not mark or Path(text).exists():
-        return Path(text), None
-    if not path or not camera:
-        raise InvalidInput("a camera is addressed as file.yaml#name", where=text)
-    if camera.startswith("/"):
-        from camcal.formats.cameras.record import name_of_topic
-
-        camera = name_of_topic(camera)
-    return Path(path), camera
-
-
 def _expand(text: str, recursive: bool, known: AbstractSet[str]) -> list[Path]:
     path = Path(text)
     try:

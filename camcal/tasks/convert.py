@@ -11,6 +11,7 @@ from camcal.cameras.catalogue import model_named
 from camcal.cameras.refit import Refit
 from camcal.errors import InvalidInput
 from camcal.formats import cameras, provenance
+from camcal.formats.addresses import split_address
 from camcal.formats.camera_file import CameraFile, Framing, framed
 from camcal.formats.cameras.nearest import Nearest, prepared
 from camcal.formats.cameras.recognition import named
@@ -18,7 +19,6 @@ from camcal.formats.cameras.record import EVERY_LENS, CameraFormat, Given
 from camcal.options import command_line
 from camcal.progress import SILENT, Progress
 from camcal.run.outputs import claim, writes
-from camcal.run.paths import split_address
 from camcal.tasks.convert_options import ConvertFileOptions
 from camcal.tasks.given_camera import framing_of, require_no_image
 
@@ -69,7 +69,7 @@ def convert(options: ConvertFileOptions, progress: Progress = SILENT) -> Convert
     source = cameras.format_of(path)
     if (wanted := options.camera or name) is not None:
         file = cameras.only(file, wanted, str(path))
-    file = framed(file, framing_of(options.given))
+    file = framed(file, framing_of(options.given.part))
     written = tuple(_convert_file(file, output, source, options) for output in options.outputs)
     refits = [(file.cameras[name].camera, found) for each in written for name, found in each.refits.items()]
     if options.plot is not None and not refits:
@@ -89,7 +89,7 @@ def convert(options: ConvertFileOptions, progress: Progress = SILENT) -> Convert
 def _convert_file(file: CameraFile, output: Path, source: CameraFormat, options: ConvertFileOptions) -> ConvertedFile:
     """Return what is to be written to an output."""
     one_of_several = len(options.outputs) > 1
-    changed = options.refit is not None or framing_of(options.given) != Framing()
+    changed = options.refit is not None or framing_of(options.given.part) != Framing()
     own = changed and output.suffix.lower() in cameras.FORMATS[cameras.OWN].suffixes
     wanted = options.to or (cameras.OWN if own and not named(output.name) else None)
     target = cameras.format_for(output, wanted, source, by_suffix=one_of_several)

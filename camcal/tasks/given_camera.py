@@ -9,17 +9,18 @@ from camcal.arrays import Array
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.directions import GRID, grid_pixels
 from camcal.cameras.lens import FISHEYE
-from camcal.cameras.model import Camera
+from camcal.cameras.model import Camera, require_central
 from camcal.errors import InvalidInput
 from camcal.formats import cameras
+from camcal.formats.addresses import split_address
 from camcal.formats.camera_file import CalibrationVerdict, CameraEntry, CameraFile, Framing, framed
 from camcal.formats.cameras.record import CAMERA, Given, MissingSize
 from camcal.images.videos import address_of, is_video
 from camcal.messages import Message
 from camcal.progress import SILENT, Progress
 from camcal.quality.projection_uncertainty import in_polygon
-from camcal.run.paths import IMAGE_SUFFIXES, require_there, split_address
-from camcal.tasks.options import GivenCamera
+from camcal.run.paths import IMAGE_SUFFIXES, require_there
+from camcal.tasks.options import WHOLE, GivenCamera, ImagePart
 
 Size = tuple[int, int]
 _OUTSIDE = 0.02  # of a view or of points: more beyond the region of the verdict is worth a warning
@@ -35,20 +36,44 @@ def read_camera_file(
     progress: Progress = SILENT,
     size_of_images: Callable[[], Size | None] = _unknown,
     second: Path | None = None,
+    *,
+    central: bool = True,
 ) -> CameraFile:
     """Return the content of the camera file FILE or FILE#NAME, or one with the camera that is given in its place.
 
     size_of_images: asked where neither the options nor the file say for which size of images the camera is. second: the
-    other file of a rig that is written as two.
-    Raises InvalidInput for an image in place of the file, where the size remains unknown, and as `cameras.read` and
-    `framed` do.
+    other file of a rig that is written as two. central: whether lenses must be central.
+    Raises InvalidInput for an image in place of the file, where the size remains unknown, for a lens that is not
+    central, and as `cameras.read` and `framed` do.
     """
-    return framed(_read_camera_file(address, given, progress, size_of_images, second), framing_of(given))
+    file = framed(_read_camera_file(address, given, progress, size_of_images, second), framing_of(given.part))
+    return central_file(file, address) if central else file
 
 
-def framing_of(given: GivenCamera) -> Framing:
+def central_file(file: CameraFile, where: str | Path | None) -> CameraFile:
+    """Return a camera file from where it was read; raises InvalidInput for a lens that is not central."""
+    for entry in file.cameras.values():
+        require_central(entry.camera.model, None if where is None else str(where))
+    return file
+
+
+def framing_of(part: ImagePart) -> Framing:
     """Return which part of a camera's images the given ones are."""
-    return Framing(given.crop, given.binning or 1, given.scale_to)
+    return Framing(part.crop, part.binning or 1, part.scale_to)
+
+
+def require_whole(part: ImagePart, instead: str) -> None:
+    """Raise InvalidInput for a part of the images of a camera that is in no file."""
+    if part != WHOLE:
+        raise InvalidInput(f"--crop, --binning and --scale-to go with {instead}")
+
+
+def read_part(path: Path, part: ImagePart, progress: Progress = SILENT, size: Size | None = None) -> CameraFile:
+    """Return the content of a camera file, its cameras those of a part of their images; size: where the file has none.
+
+    Raises InvalidInput and FileError as `cameras.read` and `framed` do.
+    """
+    return framed(cameras.read(path, progress, Given(size)), framing_of(part))
 
 
 def _read_camera_file(
@@ -141,7 +166,7 @@ def view_outside_region(
         return
     width, height = view.image_size
     pixels = grid_pixels(np.linspace(0, width - 1, GRID[0]), np.linspace(0, height - 1, GRID[1]))
-    directions = view.unproject(pixels).directions
+    directions = view.unproject(pixels).at()
     shown = camera.project(directions if view_R_camera is None else directions @ view_R_camera).pixels
     shown = shown[((shown >= 0) & (shown <= np.array(camera.image_size) - 1)).all(axis=1)]
     advice = "use a smaller --fov, or calibrate with corners there"

@@ -19,7 +19,6 @@ from camcal.options import (
     OUTPUT,
     RAW_FRAMES,
     SIZE,
-    Argument,
     Option,
     OptionsRecord,
     ValueType,
@@ -27,9 +26,6 @@ from camcal.options import (
     separated,
 )
 from camcal.raw.names import MONO, PATTERNS
-from camcal.raw.options import NO_LAYOUT, GivenLayout
-from camcal.tasks.gates import NO_GATES, CameraGates
-from camcal.tasks.measured_at import NOWHERE, MeasuredAt
 from camcal.tasks.suggestions import board_kinds, lens_model_names, lens_models
 
 CAMERA_SUFFIXES = (
@@ -179,12 +175,48 @@ _INTRINSICS = separated("FX,FY,CX,CY in pixels, such as 1400,1400,959.5,539.5", 
 
 
 @dataclass(frozen=True)
+class ImagePart(OptionsRecord):
+    """Which part of a camera's images others are: crop (width, height, x, y), binning, scale_to, in this order."""
+
+    crop: Annotated[
+        tuple[int, int, int, int] | None,
+        Option(
+            "The images are this part of those that the camera is for: its size and its top-left pixel.",
+            metavar="WxH+X+Y",
+            group=INPUT,
+            type=CROP,
+        ),
+    ] = None
+    binning: Annotated[
+        int | None,
+        Option(
+            "So many pixels a side of the camera's images, after --crop, are one of these.",
+            metavar="N",
+            group=INPUT,
+            least=1,
+        ),
+    ] = None
+    scale_to: Annotated[
+        tuple[int, int] | None,
+        Option(
+            "Size that the camera's images, after --crop and --binning, were resized to.",
+            metavar="WxH",
+            group=INPUT,
+            type=SIZE,
+        ),
+    ] = None
+
+
+WHOLE = ImagePart()
+
+
+@dataclass(frozen=True)
 class GivenCamera(OptionsRecord):
     """A camera in place of a file, and what a file may not say of one.
 
     camera_matrix: fx, fy, cx, cy, pixels; None for a file. distortion: OpenCV's coefficients. size: (width, height) of
     the images, None for that of the first one. model: the lens model of four coefficients, which may be a fisheye's.
-    crop (width, height, x, y), binning, scale_to: which part of its images others are, in this order.
+    part: which part of its images others are.
     """
 
     camera_matrix: Annotated[
@@ -218,33 +250,7 @@ class GivenCamera(OptionsRecord):
             group=INPUT,
         ),
     ] = None
-    crop: Annotated[
-        tuple[int, int, int, int] | None,
-        Option(
-            "The images are this part of those that the camera is for: its size and its top-left pixel.",
-            metavar="WxH+X+Y",
-            group=INPUT,
-            type=CROP,
-        ),
-    ] = None
-    binning: Annotated[
-        int | None,
-        Option(
-            "So many pixels a side of the camera's images, after --crop, are one of these.",
-            metavar="N",
-            group=INPUT,
-            least=1,
-        ),
-    ] = None
-    scale_to: Annotated[
-        tuple[int, int] | None,
-        Option(
-            "Size that the camera's images, after --crop and --binning, were resized to.",
-            metavar="WxH",
-            group=INPUT,
-            type=SIZE,
-        ),
-    ] = None
+    part: ImagePart = WHOLE
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -302,98 +308,3 @@ Pattern = Annotated[
         choices=(*PATTERNS, MONO),
     ),
 ]
-
-
-@dataclass(frozen=True)
-class InspectOptions(OptionsRecord):
-    """A camera file, or FILE#NAME for one of its cameras; or a raw frame, its pattern and layout as far as needed.
-
-    get: the path of one value in a camera file. output: a picture of the rig, or a page that shows it. gates: what the
-    cameras of the file must be. measured: where the errors of measurements are asked for.
-    """
-
-    file: Annotated[
-        str,
-        Argument(
-            "A camera file, or FILE#NAME for one of several cameras; or a raw frame: of a camera (.dng, .cr2, …), "
-            "a bare mosaic (PNG, TIFF, PGM, NPY), a dump of a sensor (.raw, .bin).",
-            metavar="FILE",
-        ),
-    ]
-    get: Annotated[
-        str | None,
-        Option(
-            "Print one value only, such as cameras.left.intrinsics.fx (lists as JSON).", metavar="KEY", group=OUTPUT
-        ),
-    ] = None
-    output: Annotated[
-        Path | None,
-        output_option(
-            "Picture of a rig: cameras as frusta, and the boards that they saw. A page (.html) can be turned.",
-            Written((".png", ".html")),
-            metavar="FILE",
-        ),
-    ] = None
-    camera: CameraName = None
-    pattern: Pattern = None
-    layout: GivenLayout = NO_LAYOUT
-    gates: CameraGates = NO_GATES
-    measured: MeasuredAt = NOWHERE
-    overwrite: Overwrite = False
-
-    @property
-    def address(self) -> tuple[Path, str | None]:
-        """The file, and the camera in it that is meant; None for all of them."""
-        from camcal.run.paths import split_address
-
-        path, name = split_address(self.file)
-        return path, self.camera or name
-
-
-@dataclass(frozen=True)
-class PlotOptions(OptionsRecord):
-    """Result files, and where their figures go: a folder, or a file for a single one.
-
-    figures: names of those that are wanted, none for all. reference: a trajectory that others are compared with.
-    """
-
-    inputs: Annotated[
-        tuple[str, ...],
-        Argument(
-            "Results of camcal: camera and rig files, detections, poses, trajectories, tracks, series, disparity maps, "
-            "sensor files, fits, some --json documents.",
-            metavar="FILE…",
-            required=True,
-        ),
-    ] = ()
-    output: Annotated[
-        Path | None,
-        output_option(
-            "Folder for the figures, with their captions in figures.md; or a file for one figure.",
-            Written(FIGURES.known, folder=True),
-            metavar="DIR|FILE",
-            required=True,
-        ),
-    ] = None
-    kind: FigureType = FIGURE_TYPES[0]
-    theme: Annotated[
-        str, Option("Colours: dark on light, or light on dark.", metavar="|".join(THEMES), group=OUTPUT, choices=THEMES)
-    ] = THEMES[0]
-    figures: Annotated[
-        tuple[str, ...],
-        Option(
-            "Name of a figure that is wanted; repeatable. By default all.",
-            metavar="NAME",
-            group=OUTPUT,
-            names="--figure",
-        ),
-    ] = ()
-    reference: Annotated[
-        Path | None,
-        Option(
-            "Trajectory that the others are compared with, after alignment: figures show the errors.",
-            metavar="FILE",
-            group=INPUT,
-        ),
-    ] = None
-    overwrite: Overwrite = False

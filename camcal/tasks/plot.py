@@ -38,9 +38,11 @@ from camcal.run.outputs import writes
 from camcal.run.paths import find_files
 from camcal.tasks.curves.fit_report import written
 from camcal.tasks.figure_files import write_figures
-from camcal.tasks.options import FIGURES, FigureOptions, PlotOptions
+from camcal.tasks.given_camera import read_part, require_whole
+from camcal.tasks.options import CAMERA_SUFFIXES, FIGURES, FigureOptions, ImagePart
 from camcal.tasks.plot_documents import FIT, SENSOR, fit_file_plots, require, sensor_file_plots
 from camcal.tasks.rigs.inspect_rig import inspect_rig
+from camcal.tasks.show_options import PlotOptions
 
 KINDS = (
     "camera and rig files, detections (.csv, .vnl), poses, trajectories (.tum, .txt, .csv, .yaml, .json), tracks, "
@@ -93,7 +95,9 @@ def plot(options: PlotOptions, progress: Progress = SILENT) -> PlotReport:
     Raises FileError for a file that is not there or of no kind that can be drawn, InvalidInput for a figure that there
     is none of, or where one file is named for several; nothing is written then.
     """
-    found = tuple(drawable(path, options.reference, progress) for path in find_files(options.inputs))
+    found = tuple(drawable(path, options, progress) for path in find_files(options.inputs))
+    if not any(each.kind in ("camera", "rig") for each in found):
+        require_whole(options.part, "a camera file")
     plots = _choose_plots(_name_plots(found), options.figures)
     output = options.output
     if output is None:
@@ -139,25 +143,25 @@ def document(report: PlotReport) -> dict[str, Any]:
     }
 
 
-def drawable(path: Path, reference: Path | None, progress: Progress) -> Drawable:
-    """Return what a file is with its figures; reference: a trajectory that a trajectory is compared with.
+def drawable(path: Path, options: PlotOptions, progress: Progress) -> Drawable:
+    """Return what a file is with its figures.
 
     Raises FileError for a file of no kind that can be drawn, and as the readers of the kinds do.
     """
-    suffix = files.suffix_of(path)
+    suffix, reference = files.suffix_of(path), options.reference
     if suffix in _MAPS:
         return Drawable(path, "disparity", (disparity_map(disparity.read(path).matched()),))
+    if suffix in CAMERA_SUFFIXES and (suffix not in _TEXTS or suffix == ".txt") and cameras.is_camera_file(path):
+        return _camera(path, options.part, progress)
     if suffix not in _TEXTS:
         raise _unknown(path)
-    if suffix == ".vnl":
-        return Drawable(path, "detections", detection_plots(detections.read(path)))
     if suffix in (".tum", ".txt", ".kitti"):
         return _trajectory(path, reference)
-    if suffix == ".csv":
+    if suffix in (".csv", ".vnl"):
         return _table(path, reference)
     if suffix == ".xml" or cameras.is_camera_file(path):
-        return _camera(path, progress)
-    return _document(path, reference, progress)
+        return _camera(path, options.part, progress)
+    return _document(path, options, progress)
 
 
 def _unknown(path: Path) -> FileError:
@@ -167,7 +171,11 @@ def _unknown(path: Path) -> FileError:
 def _table(path: Path, reference: Path | None) -> Drawable:
     head = files.read_text(path)[:_HEAD]
     first = head.split("\n", 1)[0]
-    if first.startswith(detections_text.MAGIC) or first.split(",")[:4] == list(detections_text.COLUMNS[:4]):
+    if (
+        files.suffix_of(path) == ".vnl"
+        or first.startswith(detections_text.MAGIC)
+        or first.split(",")[:4] == list(detections_text.COLUMNS[:4])
+    ):
         return Drawable(path, "detections", detection_plots(detections.read(path)))
     if first.startswith(f"# {plain_poses.FORMAT} "):
         return Drawable(path, "poses", pose_plots(poses.read(path)))
@@ -187,15 +195,15 @@ def _trajectory(path: Path, reference: Path | None) -> Drawable:
     return Drawable(path, "tracks", tuple(chain.from_iterable(plots)))
 
 
-def _camera(path: Path, progress: Progress) -> Drawable:
-    file = cameras.read(path, progress)
+def _camera(path: Path, part: ImagePart, progress: Progress) -> Drawable:
+    file = read_part(path, part, progress)
     rig = inspect_rig(file, str(path))
     if rig is None:
         return Drawable(path, "camera", camera_file_plots(file))
     return Drawable(path, "rig", camera_file_plots(file, rig.rig, rig.boards, rig.board))
 
 
-def _document(path: Path, reference: Path | None, progress: Progress) -> Drawable:
+def _document(path: Path, options: PlotOptions, progress: Progress) -> Drawable:
     content = load_either(path)
     if printed := _SCHEMA.fullmatch(str(content.get("schema", ""))):
         command = printed["command"]
@@ -204,13 +212,13 @@ def _document(path: Path, reference: Path | None, progress: Progress) -> Drawabl
     if form == plain_poses.FORMAT:
         return Drawable(path, "poses", pose_plots(poses.read(path)))
     if form in (native_trajectories.FORMAT, tracked.FORMAT) or native_trajectories.TRANSFORMS in content:
-        return _trajectory(path, reference)
+        return _trajectory(path, options.reference)
     if form == SENSOR:
         return Drawable(path, "sensor", sensor_file_plots(content))
     if form == FIT:
         return Drawable(path, "fit", fit_file_plots(content))
     if cameras.is_camera_file(path):
-        return _camera(path, progress)
+        return _camera(path, options.part, progress)
     raise _unknown(path)
 
 

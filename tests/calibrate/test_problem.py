@@ -81,7 +81,8 @@ def test_shared_parameters_are_named_in_their_order():
 @pytest.mark.parametrize("model", MODELS.values(), ids=lambda model: model.name)
 def test_lens_priors_leave_the_focal_length_and_centre_free(model):
     spread = model.prior_std((1600, 1200), 1200.0)
-    assert np.isinf(spread[:4]).all()
+    assert np.isinf(spread[:2]).all()
+    assert (np.isinf(spread[2:4]) == model.is_central).all()
     assert np.isfinite(spread[4:]).all()
 
 

@@ -97,4 +97,5 @@ def test_the_field_and_the_fold_of_one_unprojection_are_those_of_two(model, lit)
     own = camera(model[0], k1=model[1])
     circle = None if lit is None else ImageCircle(own.image_size, (own.value("cx"), own.value("cy")), lit)
     field, fold = field_and_fold(own, circle)
-    np.testing.assert_equal((field, fold), (field_of_view(own, circle)[0], folds_inside(own, circle)))
+    np.testing.assert_allclose(field, field_of_view(own, circle)[0], rtol=1e-12)  # all pixels take as many steps
+    assert fold == folds_inside(own, circle)

@@ -82,7 +82,7 @@ def test_json_is_the_only_thing_on_stdout(run, table, tmp_path):
     assert code == 0
     assert list(document) == [
         "schema", "output", "model", "image_size", "parameters", "std", "held_by_prior", "noise_std",
-        "within_views", "two_cameras", "rms_px",
+        "within_views", "entrance_pupil", "two_cameras", "rms_px",
         "sigma_px", "model_error_px", "degrees_of_freedom", "board", "board_shape", "views", "rejected", "uncertainty",
         "image_circle", "times",
         "refinement", "trustworthy", "region", "failures", "candidates", "frames", "failed", "reused", "timings",

@@ -41,6 +41,8 @@ def sample_points(model, parameters, count=200, seed=2):
     theta = rng.uniform(0, min(0.99 * model.domain(parameters).max_theta, np.radians(65)), count)
     theta[0] = 0.0
     azimuth, distance = rng.uniform(0, 2 * np.pi, count), rng.uniform(0.5, 5, count)
+    if not model.is_central:
+        distance[:] = 1.0  # twice as far is twice as far from the axis
     return distance[:, None] * rays(theta, azimuth)
 
 
@@ -108,7 +110,12 @@ def test_unprojection_inverts_projection(model):
     found = model.unproject(parameters, model.project(parameters, points).pixels)
     assert found.valid.all()
     np.testing.assert_allclose(np.linalg.norm(found.directions, axis=1), 1, rtol=1e-15)
-    assert angles_between(found.directions, points).max() < 1e-9
+    from_origin = points if found.origins is None else points - found.origins
+    assert angles_between(found.directions, from_origin).max() < 1e-9
+    assert (found.origins is None) == model.is_central
+    np.testing.assert_allclose(
+        model.project(parameters, found.at(3.0)).pixels, model.project(parameters, points).pixels
+    )
 
 
 @every_model
@@ -226,12 +233,14 @@ def test_model_survives_the_way_to_a_worker_process(model):
 def test_every_coefficient_has_a_prior_and_no_other_parameter_has_one(model):
     spread = model.prior_std((1600, 1200), 1200.0)
     assert spread.shape == (len(model.parameter_names),)
-    assert np.isinf(spread[:4]).all()  # fx fy cx cy
+    # fx fy cx cy: where rays are parallel any principal point does as well, without distortion
+    assert (np.isinf(spread[:4]) == [True, True, model.is_central, model.is_central]).all()
     np.testing.assert_array_equal(model.prior_mean[4:], model.start((1600, 1200), 1200.0)[4:])
     assert not model.prior_mean[:4].any()
     assert np.isfinite(spread[4:]).all()
     assert (spread[4:] > 0).all()
-    np.testing.assert_array_equal(spread, model.prior_std((3200, 2400), 2400.0))  # the same lens at another resolution
+    finer = [1, 1, 2, 2, *np.ones(len(spread) - 4)]  # the same lens at another resolution
+    np.testing.assert_array_equal(spread * finer, model.prior_std((3200, 2400), 2400.0))
 
 
 @every_model

@@ -262,12 +262,61 @@ def test_a_fisheye_of_an_old_photonvision_is_refused_by_its_key(tmp_path):
         read(tmp_path, json.dumps(data | {"isFisheye": True}), "b.json")
 
 
+def test_what_opencv_does_with_a_pair_and_beyond_90_degrees_is_said(tmp_path):
+    wide = Camera(MODELS["kannala_brandt4"], (640, 480), [150.0, 150.0, 319.5, 239.5, 0.0, 0.0, 0.0, 0.0])
+    words = "wrong beyond 90 deg"
+    assert words in written(tmp_path, wide, "opencv").read_text()
+    assert words not in written(tmp_path, FISHEYE, "opencv").read_text()
+    for lens, word in ((BROWN, "use cv2.stereoRectify(M1"), (FISHEYE, "use cv2.fisheye.stereoRectify(M1")):
+        pair = CameraFile({"left": CameraEntry(lens), "right": CameraEntry(lens)}, {"right_T_left": Transform(PLACE)})
+        cameras.write(tmp_path / "pair.yml", pair, FORMATS["opencv"])
+        assert word in (tmp_path / "pair.yml").read_text()
+
+
+def test_photonvision_has_one_word_for_opencvs_lenses(tmp_path):
+    """Its enumeration has no other one, and its reader refuses what is not in it."""
+    for number, model in enumerate(("opencv5", "opencv8")):
+        lens = Camera(
+            MODELS[model], SIZE, np.r_[500.0, 501, 322, 238, np.zeros(len(MODELS[model].parameter_names) - 4)]
+        )
+        path = written(tmp_path, lens, "photonvision", f"{number}")
+        assert json.loads(path.read_text())["lensmodel"] == "LENSMODEL_OPENCV"
+
+
+def test_a_fisheye_of_matlab_says_that_its_function_counts_as_opencv(tmp_path):
+    path = tmp_path / "a.json"
+    for lens, word in ((FISHEYE, "cameraIntrinsicsFromOpenCV with K(1:2,3) - 1"), (BROWN, "cameraIntrinsics([K(1,1)")):
+        cameras.write(path, CameraFile({"camera": CameraEntry(lens)}), FORMATS["matlab"])
+        assert word in json.loads(path.read_text())["comment"]
+
+
+def test_gyroflows_insta360_is_meis_lens_without_a_third_term(tmp_path):
+    profile = json.loads(written(tmp_path, FISHEYE, "gyroflow").read_text()) | {"distortion_model": "insta360"}
+    k1, k2, p1, p2, xi = -0.3, 0.05, 1e-3, -2e-3, 1.6
+    for k3, is_read in ((0.0, True), (-0.01, False)):
+        lens = profile["fisheye_params"] | {"distortion_coeffs": [k1, k2, k3, p1, p2, xi]}
+        text = json.dumps(profile | {"fisheye_params": lens})
+        if not is_read:
+            with pytest.raises(InvalidInput, match=r"k3: -0\.01"):
+                read(tmp_path, text, "a.json")
+            continue
+        x, y, z = (POINTS / np.linalg.norm(POINTS, axis=1, keepdims=True)).T
+        x, y = x / (z + xi), y / (z + xi)
+        r2 = x**2 + y**2
+        scale = 1 + k1 * r2 + k2 * r2**2
+        u = x * scale + 2 * p1 * x * y + p2 * (r2 + 2 * x**2)
+        v = y * scale + 2 * p2 * x * y + p1 * (r2 + 2 * y**2)
+        expected = np.column_stack([u, v]) * [300.0, 301.0] + [322.5, 238.25]
+        found = read(tmp_path, text, "a.json").cameras["camera"].camera
+        assert np.abs(found.project(POINTS).pixels - expected).max() < 1e-9
+
+
 def test_the_other_sides_of_gyroflow(tmp_path):
     profile = json.loads(written(tmp_path, FISHEYE, "gyroflow").read_text())
     assert cameras.read(tmp_path / "file.json").cameras["camera"].extra["x_gyroflow"]["fps"] == 0.0
     wrong = [
         ({"digital_lens": "gopro_superview"}, "'gopro_superview' bends the frames once more: calibrate"),
-        ({"distortion_model": "insta360"}, "'insta360' is not among camcal's lens models; read are opencv_fisheye"),
+        ({"distortion_model": "sony"}, "'sony' is not among camcal's lens models; read are opencv_fisheye"),
         ({"distortion_model": "sonyx"}, "'sonyx' is not a lens of this program"),
     ]
     for change, said in wrong:

@@ -2,6 +2,7 @@
 
 import copy
 import math
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -312,6 +313,19 @@ def test_one_of_several_cameras_must_be_named(saved):
         cameras.read_camera(path)
     with pytest.raises(InvalidInput, match=r"no camera 'rihgt'\. Did you mean 'right'"):
         cameras.read_camera(path, "rihgt")
+
+
+def test_a_camera_is_addressed_in_the_library_as_on_the_command_line(saved):
+    path = saved(RIG)
+    assert cameras.read_camera(f"{path}#right").value("fx") == 458.5
+    found = cameras.read(f"{path}#right")
+    assert list(found.cameras) == ["right"]
+    assert not found.transforms
+    with pytest.raises(InvalidInput, match=r"left\.yaml: no camera 'rihgt'\. Did you mean 'right'"):
+        cameras.read_camera(f"{path}#rihgt")
+    odd = path.with_name("a#left.yaml")
+    shutil.copy(path, odd)
+    assert list(cameras.read(odd).cameras) == ["left", "right"]
 
 
 @pytest.mark.parametrize("name", ["mono.camcal.yaml", "rig.camcal.yaml"])

@@ -7,9 +7,11 @@ import pytest
 
 from camcal.calibrate.intrinsics import Calibration, Options, RejectedCorner, View
 from camcal.cameras.catalogue import SPLINE_MODEL, model_named
+from camcal.cameras.directions import in_hull
 from camcal.cameras.model import Camera
-from camcal.quality import residual_pattern
+from camcal.errors import InsufficientData
 from camcal.quality.residual_pattern import radial_pattern, shared_pattern
+from camcal.simulate.scene import observe, views
 from camcal.targets.board import Board, Surface
 from camcal.tasks.calibration.model_selection import select, solve_given
 
@@ -23,9 +25,9 @@ HERE, THERE = np.array([249.5, 249.5]), np.array([749.5, 549.5])  # in the middl
 
 def calibration_of(pixels, residuals, rows):
     names = [f"{row:02d}.png" for row in range(max(rows) + 1)]
-    views = tuple(View(name, 54, int(np.sum(np.equal(rows, row)))) for row, name in enumerate(names))
+    seen = tuple(View(name, 54, int(np.sum(np.equal(rows, row)))) for row, name in enumerate(names))
     arrays = np.array(residuals, float), np.array(pixels, float), np.array(rows)
-    return Calibration(CAMERA, BOARD, Surface(BOARD), views, (), SIGMA, 300, 0.2, *arrays, 5)
+    return Calibration(CAMERA, BOARD, Surface(BOARD), seen, (), SIGMA, 300, 0.2, *arrays, 5)
 
 
 def agreeing(count, size=1.0, place=HERE):
@@ -69,32 +71,6 @@ def test_a_rejected_corner_counts_with_ten_standard_deviations_at_most():
     assert alone.largest_px == pytest.approx(0.5)
 
 
-def test_errors_that_each_view_has_to_itself_are_taken_for_a_pattern_as_rarely_as_chance_has_it():
-    rng = np.random.default_rng(2)
-    chances = []
-    for _ in range(2000):
-        seen = rng.random((16, 12)) < 0.5  # which views show which cells
-        tilt = rng.normal(size=(16, 1, 2)) + 0.3 * rng.normal(size=(16, 12, 2))  # much the same all over a view
-        chances.append(residual_pattern._chance((seen[..., None] * tilt).reshape(16, -1)))
-    for limit in (0.05, 0.01):
-        assert 0.4 * limit < np.mean(np.array(chances) < limit) < 1.6 * limit
-    assert np.mean(np.array(chances) < 1e-3) <= 0.004
-
-
-def test_the_chance_has_the_moments_of_random_signs():
-    rng = np.random.default_rng(3)
-    rows = rng.normal([1.0, 0.0, 0.0, 0.0], size=(9, 4))
-    matrix = rows @ rows.T
-    np.fill_diagonal(matrix, 0.0)
-    signs = np.array(np.meshgrid(*[[-1, 1]] * 9)).reshape(9, -1)
-    sums = np.einsum("vs,vw,ws->s", signs, matrix, signs)
-    assert np.mean(sums) == pytest.approx(0, abs=1e-9)
-    assert np.mean(sums**2) == pytest.approx(2 * np.trace(matrix @ matrix))
-    assert np.mean(sums**3) == pytest.approx(8 * np.trace(matrix @ matrix @ matrix))
-    exact = np.mean(sums >= matrix.sum() - 1e-9)
-    assert residual_pattern._chance(rows) == pytest.approx(exact, rel=0.5)
-
-
 def test_residuals_that_point_outwards_are_a_bias_along_the_radius_as_large_beyond_them():
     rng = np.random.default_rng(1)
     pixels = MIDDLE + rng.uniform(-200, 200, (400, 2))
@@ -120,30 +96,66 @@ def dented(pixels, depth_px):
     return pixels + depth[:, None] * [0.8, 0.6]
 
 
-@pytest.fixture(scope="module")
-def dented_views():
-    from camcal.simulate.scene import observe, views
+def waved(pixels, height_px):
+    """Pixels of a lens whose focal length rises and falls on the way outwards."""
+    centre = LENS.parameters[2:4]
+    radius = np.linalg.norm(pixels - centre, axis=1, keepdims=True)
+    return pixels + height_px * np.sin(2 * np.pi * radius / 300) * (pixels - centre) / np.maximum(radius, 1e-9)
 
+
+def views_by(change):
+    """A board, and what is seen of it by the lens with its pixels changed."""
     rng = np.random.default_rng(1)
     board = Board("chessboard", 10, 7, 0.030)
     seen, _ = observe(LENS, board, views(LENS, board, 30, rng=rng), rng=rng, noise_px=0.1)
-    return board, [replace(own, pixels=dented(own.pixels, 4.0)) for own in seen.views]
+    return board, [replace(own, pixels=change(own.pixels)) for own in seen.views]
+
+
+@pytest.fixture(scope="module")
+def dented_views():
+    return views_by(lambda pixels: dented(pixels, 4.0))
+
+
+@pytest.fixture(scope="module")
+def waved_views():
+    return views_by(lambda pixels: waved(pixels, 3.0))
 
 
 OPTIONS = Options(LENS.model)
 
 
 def test_a_lens_with_a_dent_is_calibrated_as_a_spline(dented_views):
-    board, views = dented_views
-    found = select(views, board, OPTIONS)
+    board, seen = dented_views
+    found = select(seen, board, OPTIONS)
     assert found.calibration.camera.model.name == SPLINE_MODEL
     assert found.assessment.trustworthy
     assert found.calibration.rms_px < 0.16  # √2 × noise
 
 
+def test_a_lens_that_no_parametric_model_fits_is_not_two_cameras_and_calibrated_as_a_spline(waved_views):
+    board, seen = waved_views
+    found = select(seen, board, OPTIONS)
+    assert found.calibration.camera.model.name == SPLINE_MODEL
+    assert found.assessment.trustworthy
+    assert found.calibration.rms_px < 0.16
+    u, v = (np.ravel(each) for each in np.meshgrid(np.arange(40.0, 1280, 40), np.arange(40.0, 960, 40)))
+    grid = np.column_stack([u, v])[in_hull(np.column_stack([u, v]), np.concatenate([own.pixels for own in seen]))]
+    rays = LENS.unproject(grid).directions
+    off = found.calibration.camera.project(rays).pixels - waved(grid, 3.0)
+    assert np.sqrt(np.mean((off - off.mean(axis=0)) ** 2)) < 0.1
+
+
+def test_a_parametric_lens_that_does_not_fit_is_refused_with_the_spline_as_the_remedy(waved_views):
+    board, seen = waved_views
+    with pytest.raises(InsufficientData) as caught:
+        solve_given(seen, board, OPTIONS)
+    assert caught.value.failures[0].code == "lens_model_does_not_fit"
+    assert f"use --model {SPLINE_MODEL}, which passes" in caught.value.message
+
+
 def test_a_parametric_lens_for_one_with_a_dent_is_refused_where_it_is_and_the_spline_named(dented_views):
-    board, views = dented_views
-    [refusal] = solve_given(views, board, OPTIONS).assessment.failures
+    board, seen = dented_views
+    [refusal] = solve_given(seen, board, OPTIONS).assessment.failures
     assert refusal.code == "lens_model"
     u, v = map(float, refusal.text.split("near (")[1].split(")")[0].split(", "))
     assert np.hypot(*(np.array([u, v]) - DENT)) < 1.5 * WIDTH

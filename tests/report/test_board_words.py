@@ -71,6 +71,7 @@ def test_what_was_not_used_is_said_where_there_is_any(unused, rejected, words):
         held_by_prior=(),
         model_error_px=None,
         within_views=SimpleNamespace(rolling_px=None, flex=None, share=0.0),
+        between_views=SimpleNamespace(pupil=None),
         surface=SimpleNamespace(
             deflection=0.0,
             deflection_std=0.0,

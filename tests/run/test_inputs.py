@@ -6,8 +6,9 @@ from pathlib import Path
 import pytest
 
 from camcal.errors import FileError, InvalidInput
+from camcal.formats.addresses import split_address
 from camcal.run import fingerprint
-from camcal.run.paths import find_images, find_media, split_address
+from camcal.run.paths import find_images, find_media
 
 
 @pytest.fixture

@@ -256,6 +256,18 @@ def test_products_of_a_group_are_its_own_part_of_what_all_rows_share():
     )
 
 
+@pytest.mark.parametrize("groups", [None, np.array([2, 0, 3, 1])])
+def test_equations_without_products_are_the_same_otherwise(groups):
+    block = Grouped.drawn().blocks(rows_per_group=10, groups=groups)
+    full, lean = (assemble([block], 7, 4, 3, products=products) for products in (True, False))
+    assert lean.group_products.shape == (4, 0, 0)
+    assert lean.cost == full.cost
+    for name in ("group_group", "group_shared", "shared_shared", "group_gradients"):
+        np.testing.assert_allclose(getattr(lean, name), getattr(full, name), atol=1e-12, err_msg=name)
+    for name in ("shared", "groups"):
+        np.testing.assert_allclose(getattr(lean.gradient, name), getattr(full.gradient, name), atol=1e-12)
+
+
 def test_products_of_a_group_add_up_over_blocks_that_name_it():
     grouped = Grouped.drawn()
     whole = assemble([grouped.blocks(rows_per_group=10)], 7, 4, 3)

@@ -17,7 +17,7 @@ from camcal.targets.board import parse_board
 from camcal.tasks.calibration.undistort import undistort, undistort_points
 from camcal.tasks.calibration.undistort_options import UndistortOptions
 from camcal.tasks.given_camera import camera_of
-from camcal.tasks.options import GivenCamera
+from camcal.tasks.options import GivenCamera, ImagePart
 from camcal.tasks.poses.options import PnpOptions
 from camcal.tasks.poses.pnp import pnp
 from camcal.tasks.poses.smooth_options import TrackingOptions
@@ -122,7 +122,7 @@ def test_a_rectified_pair_takes_a_camera_matrix_in_place_of_single_numbers():
 
 
 def test_the_command_line_says_all_of_it():
-    whole = GivenCamera(MATRIX, DISTORTION, SIZE, "opencv4", (64, 48, 3, 4), 2, (16, 12))
+    whole = GivenCamera(MATRIX, DISTORTION, SIZE, "opencv4", ImagePart((64, 48, 3, 4), 2, (16, 12)))
     words = command_line("pnp", PnpOptions("a.png", whole))
     assert " ".join(words) == (
         "pnp a.png --camera-matrix 90,90.5,64,47 --distortion -0.1,0.01,0.001,0 --size 128x96 --model opencv4 "

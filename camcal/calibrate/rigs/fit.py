@@ -137,6 +137,7 @@ def with_other_models(fit: RigFit, models: Sequence[CameraModel | None], sizes: 
                 lenses[camera] = refit(Camera(parts[camera].model, size, lenses[camera]), model).camera.parameters
                 spread = model.prior_std(size, float(lenses[camera][0]))
                 parts[camera] = replace(parts[camera], model=model, free=np.arange(len(spread)), lens_spread=spread)
+                parts[camera] = replace(parts[camera], lens_mean=None)
         problem, state = plain.problem.with_parts(parts), replace(plain.state, lenses=tuple(lenses))
         state = minimise(_robust(problem, state), state, _ROUGH).state
         other = estimate_rig(problem, state, plain.additional, plain.known, plain.board, motion=plain.motion)

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 from camcal import files
 from camcal.cameras.model import Camera
 from camcal.errors import CamcalError, FileError, InvalidInput
+from camcal.formats.addresses import split_address
 from camcal.formats.camera_file import CameraEntry, CameraFile, pose_between
 from camcal.formats.cameras.recognition import ROWS, Row, named, recognise
 from camcal.formats.cameras.record import ANY_FRAME, CameraFormat, Given, Source, name_of, name_of_topic
@@ -62,14 +63,15 @@ def read(
 ) -> CameraFile:
     """Return the content of a camera file of any format; progress gets warnings of implausible values in it.
 
-    given: what the user says where the file does not. second: the other file of a pair, where it is written as two.
+    path: FILE, FILE#NAME for one camera of it, BAG#TOPIC of a bag. given: what the user says where the file does not.
+    second: the other file of a pair, where it is written as two.
     Raises InvalidInput for every rule it breaks, MissingSize if nothing says the size of the images, FileError.
     """
-    path = Path(path)
-    sources = [source for each in (path, second) if each is not None for source in _sources_of(each)]
+    is_bag = address_of(Path(path)) is not None
+    path, named = (Path(path), None) if is_bag else split_address(str(path))
+    sources = [*(_sources_of_bag(path) if is_bag else [_file(path)]), *([] if second is None else [source_of(second)])]
     known = _recognised(sources[0])
     form = known or FORMATS[OWN]
-    is_bag = address_of(path) is not None
     if len(sources) > form.files and not is_bag:
         raise InvalidInput(f"--with {second}: the cameras of a {form.title} file are all in one", where=str(path))
     if len(sources) > 1 and _recognised(sources[1]) != form:
@@ -90,7 +92,7 @@ def read(
         origin = {"file": path.name, "format": form.name, "exact": True}
         file = replace(file, warnings=(*file.warnings, *doubts), converted_from=origin)
     warn_of(file.warnings, progress)
-    return file
+    return file if named is None else only(file, named, str(path))
 
 
 def _require_yaml(source: Source) -> None:
@@ -110,10 +112,8 @@ def _of_topics(form: CameraFormat, sources: Sequence[Source], given: Given) -> C
     return CameraFile(cameras, warnings=tuple(warning for file in found for warning in file.warnings))
 
 
-def _sources_of(path: Path) -> list[Source]:
-    """Return a file with its text, of a bag every camera_info as the text of ROS's file; raises FileError."""
-    if address_of(path) is None:
-        return [source_of(path)]
+def _sources_of_bag(path: Path) -> list[Source]:
+    """Return every camera_info of a bag as the text of ROS's file; raises FileError."""
     from camcal.formats.cameras.ros import text_of
     from camcal.images.bag import camera_infos
 
@@ -123,8 +123,10 @@ def _sources_of(path: Path) -> list[Source]:
 
 def source_of(path: Path) -> Source:
     """Return a file with its text, of a bag its first camera_info; raises FileError if it cannot be read."""
-    if address_of(path) is not None:
-        return _sources_of(path)[0]
+    return _file(path) if address_of(path) is None else _sources_of_bag(path)[0]
+
+
+def _file(path: Path) -> Source:
     content = files.read_bytes(path, _LARGEST)
     try:
         return Source(path, content.decode("utf-8-sig"))
@@ -156,7 +158,7 @@ def is_camera_file(path: Path) -> bool:
 
 
 def read_camera(path: str | Path, name: str | None = None) -> Camera:
-    """Return one camera of a file; the name may be left out where there is only one.
+    """Return one camera of a file, FILE or FILE#NAME; the name may be left out where there is only one.
 
     Raises InvalidInput if it is not clear which one is meant, and as `read` does.
     """
@@ -210,7 +212,9 @@ def format_for(path: Path, wanted: str | None, source: CameraFormat, *, by_suffi
         return FORMATS[OWN]
     if isinstance(meant, Row):
         what = f"is a name of {meant.title}, which is not written"
-        raise InvalidInput(f"{what}: choose another one, or give --to and one of {', '.join(FORMATS)}", where=str(path))
+        raise InvalidInput(
+            f"{what}: choose another one, or give --to and one of {', '.join(_written())}", where=str(path)
+        )
     if meant is not None:
         return meant
     known = _with_suffix(path)
@@ -224,10 +228,15 @@ def _unclear(path: Path, known: Sequence[CameraFormat]) -> InvalidInput:
     if not known and path.suffix:
         suffixes = dict.fromkeys(suffix for form in FORMATS.values() for suffix in form.suffixes)
         return InvalidInput(f"{path.suffix} is not a camera file; use one of {' '.join(suffixes)}", where=str(path))
-    names = ", ".join(form.name for form in known or FORMATS.values())
+    names = ", ".join([form.name for form in known] or _written())
     kind = path.suffix or "a folder"
     several = "several formats" if len(known) != 1 else "another format only"
     return InvalidInput(f"{kind} is written in {several}: give --to and one of {names}", where=str(path))
+
+
+def _written() -> list[str]:
+    """Return the names of the formats that are written."""
+    return [form.name for form in FORMATS.values() if form.suffixes]
 
 
 def _meant_by(path: Path) -> CameraFormat | Row | None:

@@ -27,7 +27,7 @@ LENSES = Lenses("""
     poly5 opencv4 fx fy cx cy k1 k2 =0? =0?
     ptlens ptlens fx fy cx cy a=a4 b=a3 c=a2
     generic_polynomial its_polynomial fx fy cx cy k0 k1 k2 k3 k4 k5
-    insta360 insta360 fx fy cx cy k1 k2 p1 p2 xi
+    insta360 mei fx fy cx cy k1 k2 k3=0 p1 p2 xi
     sony sony fx fy cx cy k0 k1 k2 k3 k4 k5
 """)  # fmt: skip
 

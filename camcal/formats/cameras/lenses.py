@@ -205,4 +205,4 @@ OPENCV_LENSES = "\n".join(
 
 def order(lenses: Lenses) -> Mapping[str, str]:
     """Return the parameters of every lens that is read, in the family's order, by its word."""
-    return {row.word: " ".join(own.key for own in row.keys) for row in lenses.rows if row.model in MODELS}
+    return {row.word: " ".join(own.key for own in row.keys if own.key) for row in lenses.rows if row.model in MODELS}

@@ -130,17 +130,24 @@ def write(path: Path, file: CameraFile) -> None:
         data["RadialDistortion"] = [numbers[key] for key in ("k1", "k2", "k3") if key in numbers]
         data["TangentialDistortion"] = [numbers["p1"], numbers["p2"]]
     if path.suffix.lower() == ".json":
-        files.write_text(path, json_text({"comment": FORMAT.note, **data}))
+        files.write_text(path, json_text({"comment": usage(file), **data}))
         return
-    files.write_bytes(path, _mat(data))
+    files.write_bytes(path, _mat(data, usage(file)))
 
 
-def _mat(data: Mapping[str, Any]) -> bytes:
+def usage(file: CameraFile) -> str:
+    """Return with which functions of MATLAB the camera of a file is used; a fisheye's count as OpenCV does."""
+    if any(entry.camera.model.name == "kannala_brandt4" for entry in file.cameras.values()):
+        return "fisheye: cameraIntrinsicsFromOpenCV with K(1:2,3) - 1, DistortionCoefficients and ImageSize (R2024a)"
+    return "cameraIntrinsics([K(1,1) K(2,2)], [K(1,3) K(2,3)], ImageSize, RadialDistortion=…, TangentialDistortion=…)"
+
+
+def _mat(data: Mapping[str, Any], comment: str) -> bytes:
     """Return a MAT-file with the struct `camera`, the same bytes for the same data."""
     from scipy.io import savemat
 
     stream: Any = io.BytesIO()
-    savemat(stream, {"camera": {**{key: np.array(item) for key, item in data.items()}, "comment": FORMAT.note}})
+    savemat(stream, {"camera": {**{key: np.array(item) for key, item in data.items()}, "comment": comment}})
     return _HEADER + bytes(stream.getvalue()[116:])
 
 
@@ -151,8 +158,9 @@ FORMAT = CameraFormat(
     models=LENSES.models,
     read=read,
     write=write,
+    usage=usage,
     lenses=LENSES,
     most_cameras=1,
     poses="RotationOfCamera2, PoseCamera2: right_T_left, read only",
-    note="cameraIntrinsics([K(1,1) K(2,2)], [K(1,3) K(2,3)], ImageSize, RadialDistortion=…, TangentialDistortion=…)",
+    note="cameraIntrinsics(focal lengths, centre, ImageSize, RadialDistortion=…, TangentialDistortion=…)",
 )

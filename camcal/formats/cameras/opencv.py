@@ -195,7 +195,18 @@ def write(path: Path, file: CameraFile) -> None:
         for side, camera in zip("12", cameras, strict=True):
             items |= _items(camera, f"M{side}", f"D{side}", f"xi{side}")
         items |= _extrinsics(file)
-    files.write_text(path, file_storage.text_of(items, path.suffix, opencv_usage(file)))
+    files.write_text(path, file_storage.text_of(items, path.suffix, usage(file)))
+
+
+def usage(file: CameraFile) -> str:
+    """Return with which of OpenCV's functions the camera is used, or the pair with R and T."""
+    lens = next(iter(file.cameras.values())).camera.model
+    if len(file.cameras) == 1 or lens.name == OMNIDIR:
+        return opencv_usage(file)
+    module = f"{OPENCV}.fisheye" if lens.name == FISHEYE else OPENCV
+    return (
+        f"use {module}.stereoRectify(M1, D1, M2, D2, size, R, T); R, T take points of the first camera to the second, m"
+    )
 
 
 def _items(camera: Camera, matrix: str, coefficients: str, xi: str) -> dict[str, file_storage.Item]:
@@ -217,7 +228,7 @@ FORMAT = CameraFormat(
     models=MODELS,
     read=read,
     write=write,
-    usage=opencv_usage,
+    usage=usage,
     most_cameras=2,
     keeps=frozenset({"rms"}),
     files=2,

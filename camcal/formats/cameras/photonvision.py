@@ -46,7 +46,7 @@ def write(path: Path, file: CameraFile) -> None:
         "observations": [],
         "calobjectSize": {"width": 0.0, "height": 0.0},
         "calobjectSpacing": 0.0,
-        "lensmodel": "LENSMODEL_OPENCV" if len(numbers) == 9 else "LENSMODEL_OPENCV8",
+        "lensmodel": "LENSMODEL_OPENCV",  # of any number of coefficients
     }
     files.write_text(path, json_text(data))
 

@@ -12,6 +12,7 @@ from camcal.arrays import Array
 from camcal.cameras.catalogue import MODELS
 from camcal.cameras.lens import FISHEYE, OPENCV
 from camcal.cameras.model import Camera
+from camcal.cameras.validity import valid_block
 from camcal.errors import InvalidInput
 from camcal.formats.camera_file import CameraFile
 from camcal.formats.cameras.lenses import Lenses
@@ -119,7 +120,9 @@ def opencv_usage(file: CameraFile) -> str:
         how = "undistortImage(image, K, D, xi, cv2.omnidir.RECTIFY_PERSPECTIVE, Knew=K)"
         return f"omnidirectional: use cv2.omnidir.{how}, not {OPENCV}.undistort"
     if any(entry.camera.model.opencv == FISHEYE for entry in file.cameras.values()):
-        return f"fisheye: use {FISHEYE}.undistortImage(image, K, D, Knew=K), not {OPENCV}.undistort"
+        angles = (valid_block(entry.camera, entry.image_circle)["max_theta_deg"] for entry in file.cameras.values())
+        far = "; its projections are wrong beyond 90 deg from the axis" if max(angles) > 90 else ""
+        return f"fisheye: use {FISHEYE}.undistortImage(image, K, D, Knew=K), not {OPENCV}.undistort{far}"
     return f"use {OPENCV}.undistort(image, K, D)"
 
 

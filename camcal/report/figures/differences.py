@@ -57,7 +57,7 @@ def refit_difference(before: Camera, found: Refit) -> Plot:
     """Return the map of the difference of the nearest lens of another model."""
     u, v = (np.linspace(0, side - 1, _GRID) for side in before.image_size)
     pixels = grid_pixels(u, v)
-    vectors = found.camera.project(before.unproject(pixels).directions).pixels - pixels
+    vectors = found.camera.project(before.unproject(pixels).at()).pixels - pixels
     lengths = np.linalg.norm(vectors, axis=1)
     return _vector_map(
         "refit_difference",

@@ -246,7 +246,8 @@ def camera_file_plots(
 
 def _of_camera(file: CameraFile, name: str, entry: CameraEntry) -> Iterator[Plot]:
     camera, circle = entry.camera, entry.image_circle
-    yield field_angle(camera, circle)
+    if camera.model.is_central:
+        yield field_angle(camera, circle)
     if camera.covariance is not None and camera.covariance.any():
         known = projection_uncertainty(camera, circle=circle)
         if known.figures():  # else no pixel is in the domain of the lens

@@ -8,8 +8,10 @@ from typing import Any
 import numpy as np
 
 from camcal import files
+from camcal.cameras.model import require_central
 from camcal.errors import InvalidInput
 from camcal.formats import boards, cameras
+from camcal.formats.addresses import split_address
 from camcal.formats.camera_file import CameraFile
 from camcal.geometry.pose import Pose
 from camcal.messages import counted
@@ -20,13 +22,13 @@ from camcal.quality.view_advice import Known, SuggestedView, ViewAdvice
 from camcal.quality.view_advice import advise as best_views
 from camcal.report.table import Column
 from camcal.run.outputs import writes
-from camcal.run.paths import split_address
 from camcal.targets.board import Board, Surface
 from camcal.targets.detection import BoardDetection
 from camcal.tasks.calibration.board_views import OWN_SUFFIXES, is_table
 from camcal.tasks.calibration.calibrate import calibrate
 from camcal.tasks.calibration.camera_result import CalibrateReport
 from camcal.tasks.calibration.options import AdviseOptions, CalibrateOptions
+from camcal.tasks.given_camera import central_file
 
 COLUMNS = (Column("view"), Column("pose of the board", wraps=True), Column("uncertainty, px"))
 _SIDES = ("right", "lower right", "lower", "lower left", "left", "upper left", "upper", "upper right")
@@ -90,6 +92,7 @@ def advise_views(
 
 def _of_calibration(report: CalibrateReport) -> tuple[Known, list[tuple[BoardDetection, Pose]]]:
     """Return what a calibration knows of its camera, and the views that count with camera_T_board."""
+    require_central(report.calibration.camera.model)
     own, several = report.calibration, sorted({str(view.camera) for view in report.views.detections.views})
     if len(several) > 1:
         names, first = ", ".join(several), several[0]
@@ -113,7 +116,7 @@ def known_of_file(file: CameraFile, where: str, name: str | None, board: Board |
 
     Raises InvalidInput where it names no board, or states no covariance and noise.
     """
-    entry, surface = cameras.select(file, name, where), file.board_shape
+    entry, surface = cameras.select(central_file(file, where), name, where), file.board_shape
     named = file.provenance.get("board")
     if surface is None and isinstance(named, dict) and not any(boards.check(named, "board")):
         surface = Surface.flat(boards.from_block(named))

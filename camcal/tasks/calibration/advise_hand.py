@@ -8,6 +8,7 @@ import numpy as np
 
 from camcal.errors import InvalidInput
 from camcal.formats import boards, cameras
+from camcal.formats.addresses import split_address
 from camcal.formats.camera_file import CameraFile
 from camcal.geometry import rotation as so3
 from camcal.options import given_words
@@ -15,7 +16,6 @@ from camcal.progress import SILENT, Progress
 from camcal.quality.hand_advice import HandAdvice, HandEye, advise_hand
 from camcal.quality.view_advice import Known
 from camcal.report.table import Column
-from camcal.run.paths import split_address
 from camcal.tasks.calibration.advise import known_of_file, pose_words
 from camcal.tasks.calibration.options import AdviseOptions
 

@@ -16,6 +16,7 @@ from camcal.cameras.catalogue import DEFAULT_MODEL, model_named
 from camcal.cameras.validity import ImageCircle
 from camcal.errors import GateFailed, InsufficientData, InvalidInput, NotConverged
 from camcal.formats import detections, native, native_entry
+from camcal.formats.addresses import split_address
 from camcal.formats.camera_file import CameraEntry
 from camcal.messages import Message
 from camcal.options import command_line
@@ -25,7 +26,6 @@ from camcal.raw.names import COLOURS
 from camcal.report.calibration import as_data, candidates_data, uncertainty_data
 from camcal.report.times import time_data
 from camcal.run.outputs import writes
-from camcal.run.paths import split_address
 from camcal.targets.board import Board
 from camcal.targets.detection import BoardDetection
 from camcal.tasks.calibration.board_views import (
@@ -262,13 +262,15 @@ def _channel(calibration: Calibration, colour: str, views: Sequence[BoardDetecti
 
 
 def _guess(options: CalibrateOptions, progress: Progress) -> CameraEntry | None:
-    if options.guess is None:
-        return None
     from camcal.formats import cameras
+    from camcal.tasks.given_camera import read_part, require_whole
 
+    if options.guess is None:
+        require_whole(options.part, "--guess CAMERA")
+        return None
     path, name = split_address(options.guess)
     # a start may be poor; what is held at its value may not
-    file = cameras.read(path, progress) if options.fix else cameras.read(path)
+    file = read_part(path, options.part, progress if options.fix else SILENT)
     return cameras.select(file, name, str(path))
 
 

@@ -15,6 +15,7 @@ from camcal.arrays import FloatArray
 from camcal.calibrate.known_cameras import KnownBoard
 from camcal.errors import GateFailed, InsufficientData, InvalidInput
 from camcal.formats import cameras
+from camcal.formats.addresses import split_address
 from camcal.formats.boards import short_form
 from camcal.formats.camera_file import CameraEntry, CameraFile, pair_covariance, parameters_covariance, pose_between
 from camcal.formats.poses.record import Poses
@@ -38,13 +39,12 @@ from camcal.quality.camera_drift import LensDrift, PlaceDrift
 from camcal.quality.view_advice import Known
 from camcal.report.table import Column
 from camcal.run.outputs import claim, writes
-from camcal.run.paths import split_address
 from camcal.targets.board import Board, Surface
 from camcal.targets.detection import BoardDetection
 from camcal.tasks.calibration.advise import pose_words
 from camcal.tasks.calibration.board_views import board_views, view_settings
 from camcal.tasks.calibration.check_options import CheckOptions
-from camcal.tasks.given_camera import require_no_image
+from camcal.tasks.given_camera import central_file, read_part, require_no_image
 from camcal.tasks.rigs.options import RigSettings
 from camcal.tasks.rigs.rig_views import rig_views
 
@@ -92,7 +92,7 @@ def check(options: CheckOptions, progress: Progress = SILENT) -> CheckReport:
     """
     path, name = split_address(options.camera)
     require_no_image(path)
-    file = cameras.read(path, progress)
+    file = central_file(read_part(path, options.part, progress), path)
     entries = dict(file.cameras) if name is None else {name: cameras.select(file, name, str(path))}
     board = options.board
     if board is None and file.board_shape is not None:

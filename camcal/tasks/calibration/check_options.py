@@ -19,7 +19,16 @@ from camcal.options import (
 )
 from camcal.raw.options import AS_IMAGES, ImageReadOptions
 from camcal.tasks.calibration.options import BEST_FRAMES, FrameOptions, ImageSize
-from camcal.tasks.options import BOARD_OPTION, FIGURES, PAGE, Jobs, Overwrite, Recursive
+from camcal.tasks.options import (
+    BOARD_OPTION,
+    FIGURES,
+    PAGE,
+    WHOLE,
+    ImagePart,
+    Jobs,
+    Overwrite,
+    Recursive,
+)
 from camcal.tasks.rigs.options import AUTO, MATCHES
 
 if TYPE_CHECKING:
@@ -101,6 +110,7 @@ class CheckOptions(OptionsRecord):
         ),
     ] = AUTO
     image_size: ImageSize = None
+    part: ImagePart = WHOLE
     recursive: Recursive = False
     jobs: Jobs = None
     reading: Annotated[ImageReadOptions, Without(("colours",))] = AS_IMAGES

@@ -12,15 +12,19 @@ from camcal import files
 from camcal.cameras.model import Camera
 from camcal.errors import InvalidInput
 from camcal.formats import cameras, tables
+from camcal.formats.addresses import split_address
 from camcal.formats.camera_file import CameraEntry, CameraFile
 from camcal.formats.provenance import image_counts
 from camcal.messages import Message
 from camcal.quality.camera_comparison import Calibrated, CameraComparison, Excess, compare
 from camcal.report.table import Column
 from camcal.run.outputs import claim, writes
-from camcal.run.paths import split_address
 from camcal.tasks.calibration.options import DiffOptions
-from camcal.tasks.given_camera import require_no_image
+from camcal.tasks.given_camera import (
+    read_part,
+    require_no_image,
+)
+from camcal.tasks.options import WHOLE, ImagePart
 
 COLUMNS = (
     Column("camera", file=True),
@@ -50,7 +54,7 @@ def diff(options: DiffOptions) -> DiffReport:
     Every camera of a first file with several is compared with the one of the same name. Raises InvalidInput or
     FileError for files that are not read, and cameras that cannot be compared.
     """
-    first, *others = map(_read, options.files)
+    first, *others = (_read(each, WHOLE if number else options.part) for number, each in enumerate(options.files))
     found = {
         second.name: compare(own, second, options.distances)
         for own in first.values()
@@ -113,11 +117,11 @@ def calibration_of(name: str, entry: CameraEntry, file: CameraFile) -> Calibrate
     )
 
 
-def _read(address: str) -> dict[str, Calibrated]:
+def _read(address: str, part: ImagePart) -> dict[str, Calibrated]:
     """Return the cameras of a file, or the one that an address names, by their names in it."""
     path, name = split_address(address)
     require_no_image(path)
-    file = cameras.read(path)
+    file = read_part(path, part)
     if name is not None or len(file.cameras) == 1:
         return {name or next(iter(file.cameras)): calibration_of(address, cameras.select(file, name, str(path)), file)}
     return {each: calibration_of(f"{address}#{each}", entry, file) for each, entry in file.cameras.items()}

@@ -5,14 +5,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from camcal.cameras.model import require_central
 from camcal.errors import InvalidInput
 from camcal.formats import cameras
+from camcal.formats.addresses import split_address
 from camcal.formats.camera_file import CameraFile
 from camcal.quality.range_uncertainty import CameraErrors, ErrorSize, camera_errors
 from camcal.quality.rig_geometry import DISPARITY_PX, PairErrors, pair_errors
 from camcal.records import Brief
 from camcal.report.table import Column
-from camcal.run.paths import split_address
 from camcal.tasks.rigs.inspect_rig import RigInspection, inspect_rig
 
 COLUMNS = (
@@ -67,6 +68,8 @@ def errors_of_file(
     from camcal.tasks.calibration.diff import calibration_of  # `inspect` of a camera does not wait for it
 
     names = list(file.cameras) if camera is None else [camera]
+    for name in names:
+        require_central(file.cameras[name].camera.model, f"camera {name!r}")
     own = {name: calibration_of(f"camera {name!r}", file.cameras[name], file) for name in names}
     found = {name: camera_errors(own[name], file.cameras[name].boards, distance, length) for name in names}
     pairs = []

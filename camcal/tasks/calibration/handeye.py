@@ -16,6 +16,7 @@ from camcal.calibrate.robot.start import closed_form
 from camcal.cameras.observations import Observations
 from camcal.errors import InvalidInput, NotConverged
 from camcal.formats import cameras, frames, native, provenance, robot_poses
+from camcal.formats.addresses import split_address
 from camcal.formats.camera_file import (
     STEP,
     CameraEntry,
@@ -32,7 +33,6 @@ from camcal.progress import SILENT, Progress, stage, warn_of
 from camcal.quality.camera_check import usable
 from camcal.report.handeye import SIGNIFICANT, HandEyeReport, report_of
 from camcal.run.outputs import claim, writes
-from camcal.run.paths import split_address
 from camcal.targets.board import Board, Surface
 from camcal.targets.detection import BoardDetection
 from camcal.tasks.calibration.board_views import board_views, view_settings
@@ -47,7 +47,7 @@ from camcal.tasks.calibration.handeye_poses import (
     seen_poses,
     time_of,
 )
-from camcal.tasks.given_camera import require_no_image
+from camcal.tasks.given_camera import central_file, read_part, require_no_image
 from camcal.tasks.rigs.options import RigSettings
 from camcal.tasks.rigs.rig_views import rig_views
 
@@ -150,7 +150,7 @@ def _given_cameras(options: HandEyeOptions, progress: Progress) -> GivenCameras:
         return GivenCameras(None, {})
     path, name = split_address(options.camera)
     require_no_image(path)
-    file = cameras.read(path, progress)
+    file = central_file(read_part(path, options.part, progress), path)
     if name is None and len(file.cameras) > 1:
         rig, frame = rig_of(file, str(path))
         poses = {each: own.inverse() for each, own in rig.rig_T_camera.items()}

@@ -7,7 +7,17 @@ from typing import TYPE_CHECKING, Annotated
 from camcal.options import INPUT, METHOD, OUTPUT, Argument, Option, OptionsRecord, Without
 from camcal.raw.options import AS_IMAGES, ImageReadOptions
 from camcal.tasks.calibration.options import BEST_FRAMES, FrameOptions, ImageSize
-from camcal.tasks.options import BOARD_OPTION, CAMERA_FILE, PAGE, Jobs, Overwrite, Recursive, result_option
+from camcal.tasks.options import (
+    BOARD_OPTION,
+    CAMERA_FILE,
+    PAGE,
+    WHOLE,
+    ImagePart,
+    Jobs,
+    Overwrite,
+    Recursive,
+    result_option,
+)
 
 if TYPE_CHECKING:
     from camcal.targets.board import Board
@@ -98,6 +108,7 @@ class HandEyeOptions(OptionsRecord):
         bool, Option("Estimate too by how much of itself all lengths of the robot are wrong.", group=METHOD)
     ] = False
     image_size: ImageSize = None
+    part: ImagePart = WHOLE
     recursive: Recursive = False
     jobs: Jobs = None
     reading: Annotated[ImageReadOptions, Without(("colours",))] = AS_IMAGES

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from camcal.cameras.model import Camera
-from camcal.cameras.validity import field_of_view
+from camcal.cameras.validity import field_of_view, field_size
 from camcal.errors import InvalidInput
 from camcal.formats import cameras, documents, emit, native
 from camcal.formats.camera_file import CameraEntry, CameraFile
@@ -20,9 +20,11 @@ from camcal.report.table import held_by_prior_words, length_unit, projection_wor
 from camcal.run.outputs import writes
 from camcal.targets.board import CLASSES, RATIOS, Surface
 from camcal.tasks.gates import stated
-from camcal.tasks.options import InspectOptions
+from camcal.tasks.given_camera import read_part
+from camcal.tasks.options import WHOLE, ImagePart
 from camcal.tasks.rigs.inspect_rig import RigInspection, draw_rig, inspect_rig
 from camcal.tasks.rigs.inspect_rig import as_data as rig_data
+from camcal.tasks.show_options import InspectOptions
 
 if TYPE_CHECKING:
     from camcal.tasks.calibration.errors_at_range import RangeErrors
@@ -33,7 +35,8 @@ class Inspection:
     """A camera file: the records it makes, the cameras that were asked for.
 
     fields: horizontal, vertical and diagonal field of view of each camera, degrees. rig: what the cameras make
-    together, None where they are no rig. errors: of measurements, at the distances that were asked for.
+    together, None where they are no rig. errors: of measurements, at the distances that were asked for. part: of the
+    images of the file's cameras, that these are for.
     """
 
     path: Path
@@ -41,13 +44,14 @@ class Inspection:
     fields: Mapping[str, tuple[float, float, float]]
     rig: RigInspection | None = None
     errors: "tuple[RangeErrors, ...]" = ()
+    part: ImagePart = WHOLE
 
     @cached_property
     def document(self) -> documents.Document:
-        """The document as it stands, read only where it is asked for; of another program's file what camcal would write
-        of it.
+        """The document as it stands, read only where it is asked for; of another program's file, and of a part of the
+        images, what camcal would write of it.
         """
-        if cameras.format_of(self.path).name == cameras.OWN:
+        if self.part == WHOLE and cameras.format_of(self.path).name == cameras.OWN:
             return documents.load(self.path)
         return documents.Document(str(self.path), emit.plain(native.block(self.file, self.path)), {})
 
@@ -60,7 +64,7 @@ def inspect(options: InspectOptions) -> Inspection:
     errors of measurements where no covariance is known.
     """
     path, camera = options.address
-    file = cameras.read(path)
+    file = read_part(path, options.part, size=options.layout.size)
     if camera is not None:
         cameras.select(file, camera, str(path))
     names = list(file.cameras) if camera is None else [camera]
@@ -69,7 +73,7 @@ def inspect(options: InspectOptions) -> Inspection:
         if rig is None:
             raise InvalidInput("no picture: it needs a file of several cameras that transforms join", where=str(path))
         draw_rig(rig, options.output)
-    found = Inspection(path, file, {name: _field_deg(file.cameras[name]) for name in names}, rig)
+    found = Inspection(path, file, {name: _field_deg(file.cameras[name]) for name in names}, rig, part=options.part)
     if not (asked := options.measured).distances:
         return found
     from camcal.tasks.calibration.errors_at_range import errors_of_file  # most inspections do without
@@ -119,6 +123,10 @@ def camera_lines(entry: CameraEntry, field_deg: tuple[float, float, float]) -> I
     """Yield what is known of one camera beside its parameters, a line each."""
     names = "horizontal", "vertical", "diagonal"
     known = [f"{name} {angle:.1f}°" for name, angle in zip(names, field_deg, strict=True) if math.isfinite(angle)]
+    if not entry.camera.model.is_central:
+        known = [
+            "{:.4g} x {:.4g} mm".format(*(1e3 * side for side in field_size(entry.camera, 1.0, entry.image_circle)))
+        ]
     yield "field of view " + (", ".join(known) or "unknown: the lens model is not valid at the edges of the image")
     if entry.valid is not None:
         yield "valid " + (", ".join(_valid_words(entry)) or "everywhere")

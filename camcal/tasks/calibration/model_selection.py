@@ -168,7 +168,7 @@ def _look_briefly(
     """
     found: tuple[CandidateModel, ...] = ()
     for options in ways:
-        found += compare_models(views, board, options, [options.model], by_lens=bool(found))
+        found += compare_models(views, board, options, [options.model])
         refusal = found[-1].refusal if isinstance(found[-1], FittedModel) else None
         if refusal is not None and _FINAL.intersection(found[-1].failures):
             raise refusal
@@ -289,11 +289,12 @@ def _with_spline(
     options: intrinsics.Options,
     circle: ImageCircle | None,
 ) -> tuple[CandidateModel, ...]:
-    """Return the candidates, with a spline where even that which predicts best leaves a pattern of residuals: it takes
-    longer than all the others.
+    """Return the candidates, with a spline where even that which predicts best leaves a pattern of residuals, or does
+    not fit: it takes longer than all the others.
     """
     best = max(candidates, key=lambda own: own.score)
-    if not best.pattern or SPLINE_MODEL in {own.name for own in candidates}:
+    needed = best.pattern or "lens_model_does_not_fit" in best.failures
+    if not needed or SPLINE_MODEL in {own.name for own in candidates}:
         return tuple(candidates)
     made = compare_models(views, board, options, [model_named(SPLINE_MODEL)], _fit_of(best))
     return (*candidates, *judge(made, circle))

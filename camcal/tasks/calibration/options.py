@@ -34,10 +34,12 @@ from camcal.tasks.options import (
     FOLDER,
     NO_FIGURES,
     PICTURES,
+    WHOLE,
     BoardText,
     DetectionsModel,
     DetectionsSize,
     FigureOptions,
+    ImagePart,
     Jobs,
     Overwrite,
     Recursive,
@@ -147,9 +149,11 @@ class CalibrationOptions(OptionsRecord):
     frames: which ones of videos are taken; timing: their times. parts: whether parts of a chessboard will do that show
     which part they are. refine: measure the corners once more along the edges that the calibrated lens expects, and
     calibrate with these; None: where there are images. mixed_sizes: whether images turned by 90°, of half the size or
-    off by a pixel or two are used. require, max_uncertainty (px): what the result has to be, see `require_good`.
+    off by a pixel or two are used. part: of the images of the guess, that these are. require, max_uncertainty (px):
+    what the result has to be, see `require_good`.
     """
 
+    part: ImagePart = WHOLE
     flat_board: Annotated[
         bool, Option("Assume a planar board as designed; by default its shape is estimated.", group=BOARD)
     ] = False
@@ -244,7 +248,10 @@ class CalibrateOptions(CalibrationOptions):
     model: Annotated[
         str | None,
         Option(
-            lambda: f"Lens model: {lens_models()}. Default: opencv5, unless another one predicts views clearly better.",
+            lambda: (
+                f"Lens model: {lens_models()}. Default: opencv5, unless another one predicts views "
+                "clearly better; telecentric is used where it is asked for."
+            ),
             metavar="MODEL",
             group=LENS,
             suggested=lens_model_names,
@@ -289,7 +296,8 @@ class DemoOptions(OptionsRecord):
 class DiffOptions(OptionsRecord):
     """Camera files that are compared with the first of them, each FILE or FILE#NAME.
 
-    distances: m, of points that the difference is for, none for infinity. most_px, most_sigma: what it may be at most.
+    distances: m, of points that the difference is for, none for infinity. part: of the images of the first camera, that
+    those of the others are. most_px, most_sigma: what it may be at most.
     """
 
     files: Annotated[
@@ -309,6 +317,7 @@ class DiffOptions(OptionsRecord):
             type=LENGTHS,
         ),
     ] = ()
+    part: ImagePart = WHOLE
     most_px: Annotated[
         float | None,
         Option(

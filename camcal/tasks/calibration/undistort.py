@@ -17,6 +17,7 @@ from camcal.cameras.model import Camera
 from camcal.cameras.validity import ImageCircle
 from camcal.errors import CamcalError, InvalidInput
 from camcal.formats import cameras, native, provenance
+from camcal.formats.addresses import split_address
 from camcal.formats.camera_file import CalibrationVerdict, CameraEntry, CameraFile, verdict_of_view
 from camcal.formats.tables import Table, cell, csv_rows, numbered_lines
 from camcal.images.files import KINDS, load, save
@@ -29,7 +30,7 @@ from camcal.options import command_line
 from camcal.progress import SILENT, Outcome, Progress, reused, warn_of
 from camcal.run import fingerprint
 from camcal.run.outputs import claim, writes
-from camcal.run.paths import Media, find_media, names_file, refuse_collisions, require_one, split_address
+from camcal.run.paths import Media, find_media, names_file, refuse_collisions, require_one
 from camcal.tasks.calibration.drawing import Drawing, Drawn, Sources, require_success, same_shape
 from camcal.tasks.calibration.undistort_options import UndistortOptions
 from camcal.tasks.given_camera import outside_region, read_camera_file, require_no_image, view_outside_region
@@ -220,7 +221,7 @@ def read_source(
 ) -> SourceCamera:
     """Return the camera that is meant; raises InvalidInput if that is not clear, and as `read_camera_file` does."""
     path, addressed = (None, None) if options.camera_file is None else split_address(options.camera_file)
-    file = read_camera_file(options.camera_file, options.given, progress, size_of_images)
+    file = read_camera_file(options.camera_file, options.given, progress, size_of_images, central=False)
     wanted = options.camera_name or addressed
     entry = cameras.select(file, wanted, str(path or "--camera-matrix"))
     name = cameras.name_in(file, wanted)
@@ -313,7 +314,7 @@ def undistort_points(options: UndistortOptions, progress: Progress = SILENT) -> 
 
 def move_pixels(source: Camera, target: Camera, pixels: Array) -> Array:
     """Return the pixels (N, 2) of `target` that look along the rays of pixels (N, 2) of `source`; NaN where none do."""
-    return target.project(source.unproject(pixels).directions).pixels
+    return target.project(source.unproject(pixels).at()).pixels
 
 
 def _lit(pixels: Array, circle: ImageCircle | None) -> Array:

@@ -11,11 +11,11 @@ from camcal.cameras.model import Camera
 from camcal.cameras.validity import ImageCircle, field_size
 from camcal.errors import InvalidInput
 from camcal.formats import cameras
+from camcal.formats.addresses import split_address
 from camcal.messages import Message
 from camcal.optics import lens
 from camcal.optics.lens import SensorFormat, effective_f_number, pixel_pitch, sensor_format
 from camcal.records import entry
-from camcal.run.paths import split_address
 from camcal.tasks.given_camera import read_camera_file
 from camcal.tasks.lenses.options import OpticsOptions, is_possible
 from camcal.tasks.options import GivenCamera
@@ -95,7 +95,7 @@ def set_up(options: OpticsOptions) -> Setup:
 
 def _with_camera(setup: Setup, address: str) -> Setup:
     path, fragment = split_address(address)
-    file = read_camera_file(address, GivenCamera(), size_of_images=lambda: setup.size)
+    file = read_camera_file(address, GivenCamera(part=setup.options.part), size_of_images=lambda: setup.size)
     entry = cameras.select(file, fragment or setup.options.name, str(path))
     size = entry.camera.image_size
     if setup.size not in (None, size):

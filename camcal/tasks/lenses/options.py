@@ -23,7 +23,14 @@ from camcal.options import (
     declared,
     scaled,
 )
-from camcal.tasks.options import FIGURES, BoardText, CameraName, Overwrite
+from camcal.tasks.options import (
+    FIGURES,
+    WHOLE,
+    BoardText,
+    CameraName,
+    ImagePart,
+    Overwrite,
+)
 
 SENSOR, SCENE = "Sensor", "Scene"
 SOLVABLE = ("f", "wd", "sensor")
@@ -106,6 +113,7 @@ class OpticsOptions(OptionsRecord):
         Argument("Camera file, or FILE#NAME, for field of view and resolution.", metavar="CAMERA"),
     ] = None
     name: CameraName = None
+    part: ImagePart = WHOLE
     focal: Annotated[
         float | None, Option("Focal length.", metavar="MM", group=LENS, names="--focal --f", type=MILLIMETRES)
     ] = None

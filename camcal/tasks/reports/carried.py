@@ -22,13 +22,13 @@ from camcal import files
 from camcal.calibrate.intrinsics import CandidateModel
 from camcal.errors import FileError, InvalidInput, Located
 from camcal.formats import boards, detections, documents
+from camcal.formats.addresses import split_address
 from camcal.formats.detections_text import csv_text
 from camcal.formats.schema import integer, items, mapping, number, one_of, plain, text
 from camcal.messages import Message, as_data
 from camcal.options import Declared, assembled, declared
 from camcal.parsing import did_you_mean
 from camcal.report.page.record import DataBlock
-from camcal.run.paths import split_address
 from camcal.targets.board import Board
 from camcal.targets.detection import Detections
 from camcal.tasks.calibration.camera_result import RefinementSummary

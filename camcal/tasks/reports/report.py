@@ -48,11 +48,11 @@ from camcal.tasks.calibration.inspect import (
     transform_lines,
 )
 from camcal.tasks.calibration.options import CalibrateOptions
-from camcal.tasks.options import InspectOptions
 from camcal.tasks.reports.closing import environment, made, origin_section, repeat_section
 from camcal.tasks.reports.options import ReportOptions
 from camcal.tasks.rigs.calibrate_rig import rig
 from camcal.tasks.rigs.options import RigSettings, RigTaskOptions
+from camcal.tasks.show_options import InspectOptions
 
 _REST = (
     "Residuals, coverage, poses and images are not in this file. They need the detections: camcal report DETECTIONS, "

@@ -16,21 +16,22 @@ from camcal.calibrate.intrinsics import Calibration, CandidateModel, FittedModel
 from camcal.calibrate.rigs.record import Captures
 from camcal.cameras.catalogue import DEFAULT_MODEL, WIDE_MODEL, model_named
 from camcal.cameras.lens import CameraModel
-from camcal.cameras.model import Camera
+from camcal.cameras.model import Camera, require_central
 from camcal.cameras.observations import Observations
 from camcal.cameras.validity import ImageCircle
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.formats import cameras
+from camcal.formats.addresses import split_address
 from camcal.formats.camera_file import CameraFile
 from camcal.messages import counted
 from camcal.parsing import did_you_mean
-from camcal.progress import Progress
+from camcal.progress import SILENT, Progress
 from camcal.quality.lens_choice import alternative, rank_models
-from camcal.run.paths import split_address
 from camcal.targets.board import Board
 from camcal.targets.detection import BoardDetection
 from camcal.tasks.calibration.mixed_sizes import usual_size
 from camcal.tasks.calibration.model_selection import brief_calibration, compared, rank_beside
+from camcal.tasks.given_camera import central_file, read_part, require_whole
 from camcal.tasks.rigs.options import JOINT, PRIOR, RigSettings
 
 _SIMILAR = 1.3  # ratio of rough focal lengths, up to which two cameras may be of a kind
@@ -73,6 +74,8 @@ def given_lenses(settings: RigSettings, names: Sequence[str], progress: Progress
     Raises InvalidInput where a camera lacks one that --lenses needs, or its covariance; FileError.
     """
     found: dict[str, GivenLens] = {}
+    if not settings.guess:
+        require_whole(settings.part, "--guess CAMERA")
     for text in settings.guess:
         name, mark, address = text.partition("=")
         if mark and not Path(text).exists():
@@ -98,7 +101,7 @@ def given_lenses(settings: RigSettings, names: Sequence[str], progress: Progress
 
 def _read(path: Path, settings: RigSettings, progress: Progress) -> CameraFile:
     # a start may be poor; what is held at its value may not
-    return cameras.read(path) if settings.lenses == JOINT else cameras.read(path, progress)
+    return central_file(read_part(path, settings.part, SILENT if settings.lenses == JOINT else progress), path)
 
 
 def _require_camera(name: str, names: Sequence[str], where: str) -> None:
@@ -262,6 +265,7 @@ def _asked(texts: Sequence[str], names: Sequence[str]) -> dict[str, str]:
         else:
             _require_camera(name, names, f"--model {text}")
             found[name] = model_named(model).name
+        require_central(model_named(model or text))
         if model_named(model or text).configuration:
             raise InvalidInput(
                 f"--model {text}: a spline is calibrated by camcal calibrate, and taken over by --lenses fixed"

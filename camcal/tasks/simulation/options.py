@@ -24,7 +24,16 @@ from camcal.options import (
 )
 from camcal.parsing import parse_number
 from camcal.simulate.options import USUAL_SENSOR, Sensor
-from camcal.tasks.options import BOARD_OPTION, FOLDER, CameraName, Jobs, Overwrite, result_option
+from camcal.tasks.options import (
+    BOARD_OPTION,
+    FOLDER,
+    WHOLE,
+    CameraName,
+    ImagePart,
+    Jobs,
+    Overwrite,
+    result_option,
+)
 from camcal.tasks.suggestions import lens_model_names, lens_models
 
 if TYPE_CHECKING:
@@ -249,6 +258,7 @@ class SimulateOptions(OptionsRecord):
         ),
     ] = None
     name: CameraName = None
+    part: ImagePart = WHOLE
     model: Annotated[
         str | None,
         Option(

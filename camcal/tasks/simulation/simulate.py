@@ -16,9 +16,10 @@ import numpy as np
 
 from camcal import files, system
 from camcal.cameras.catalogue import DEFAULT_MODEL, model_named
-from camcal.cameras.model import Camera
+from camcal.cameras.model import Camera, require_central
 from camcal.errors import CamcalError, InvalidInput
 from camcal.formats import boards, cameras, detections, native, poses, provenance
+from camcal.formats.addresses import split_address
 from camcal.formats.camera_file import CameraEntry, CameraFile, Transform, ValidRegion, rig_of
 from camcal.formats.poses import PoseKey, PoseRecord
 from camcal.formats.poses.record import PixelNoise
@@ -29,13 +30,13 @@ from camcal.progress import SILENT, Progress, require_all
 from camcal.run.fanout import fan_out
 from camcal.run.fingerprint import MANIFEST
 from camcal.run.outputs import claim, owned, writes
-from camcal.run.paths import split_address
 from camcal.simulate import mosaics
 from camcal.simulate.render import FLAT, Shape, render
 from camcal.simulate.scene import Truth, captures, make_camera, motion, observe, seen_by, view_name, views
 from camcal.targets.board import Board, Surface
 from camcal.targets.detection import Detections
 from camcal.targets.pattern import pattern_of
+from camcal.tasks.given_camera import central_file, read_part
 from camcal.tasks.simulation.frames import clear_frames, fixed_pattern, how_made, take_frames, truth_entry
 from camcal.tasks.simulation.options import SimulateOptions
 
@@ -113,7 +114,7 @@ def _rig(options: SimulateOptions, progress: Progress) -> CameraFile | None:
     if options.camera is None:
         return None
     path, name = split_address(options.camera)
-    file = cameras.read(path, progress)
+    file = central_file(read_part(path, options.part, progress), path)
     if options.name or name or len(file.cameras) < MIN_CAMERAS:
         return None
     _require_no_lens(options)
@@ -163,12 +164,13 @@ def _camera(options: SimulateOptions, progress: Progress) -> Camera:
         if options.name is not None:
             raise InvalidInput(f"--camera {options.name} names one of a camera file, and none is given")
         model = model_named(options.model or DEFAULT_MODEL)
+        require_central(model)
         return make_camera(
             model, options.size or DEFAULT_SIZE, DEFAULT_FOV if options.fov is None else options.fov, options.distortion
         )
     _require_no_lens(options)
     path, name = split_address(options.camera)
-    known = cameras.select(cameras.read(path, progress), options.name or name, str(path)).camera
+    known = cameras.select(read_part(path, options.part, progress), options.name or name, str(path)).camera
     return Camera(known.model, known.image_size, known.parameters)
 
 

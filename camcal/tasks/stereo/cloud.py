@@ -11,6 +11,7 @@ import numpy as np
 from camcal.arrays import Array, FloatArray
 from camcal.errors import InvalidInput
 from camcal.formats import disparity, disparity_sidecar, pointclouds, pose_text
+from camcal.formats.addresses import split_address
 from camcal.formats.disparity import DisparityMap
 from camcal.formats.disparity_sidecar import Sidecar
 from camcal.images.files import load
@@ -19,7 +20,7 @@ from camcal.parsing import parse_number
 from camcal.progress import SILENT, Collected, Progress, values_of, warn_of
 from camcal.records import OMITTED, entry
 from camcal.run.fanout import fan_out
-from camcal.run.paths import IMAGE_SUFFIXES, find_pairs, split_address
+from camcal.run.paths import IMAGE_SUFFIXES, find_pairs
 from camcal.run.process import over_threads
 from camcal.stereo.disparity import Confidence, StereoGeometry
 from camcal.stereo.points.cloud import CloudMaker, require_thinning, thinned
@@ -136,7 +137,8 @@ def rig_of_cloud(options: CloudOptions, progress: Progress) -> RigPair | None:
         return None
     if _is_map(options.disparity):
         return None
-    rig = unrectified_pair(address, options.geometry.camera, partial(_size_of_first, options.disparity, image))
+    known, size_of_images = options.geometry, partial(_size_of_first, options.disparity, image)
+    rig = unrectified_pair(address, known.camera, size_of_images, known.given.part)
     if rig is not None:
         warn_of(rig.rectification.warnings, progress)
     return rig
@@ -186,7 +188,7 @@ def _image_and_camera(files: tuple[str, ...]) -> tuple[Path | None, str | None]:
 def _pair(options: CloudOptions, address: str | None, found: DisparityMap, progress: Progress) -> RectifiedPair:
     height, width = found.values.shape
     if not options.geometry.numbers():
-        require_rectified(address, options.geometry.camera, (width, height))
+        require_rectified(address, options.geometry.camera, (width, height), options.geometry.given.part)
     pair = rectified_pair.pair_of(options.geometry, address, (width, height), found.sidecar, progress)
     if pair.geometry is None:
         raise InvalidInput(_NO_GEOMETRY)

@@ -13,9 +13,11 @@ from camcal.stereo.options import MatchOptions
 from camcal.tasks.options import (
     NO_FIGURES,
     PICTURES,
+    WHOLE,
     CameraName,
     FigureOptions,
     GivenCamera,
+    ImagePart,
     Jobs,
     Overwrite,
     Recursive,
@@ -74,9 +76,7 @@ class GeometryOptions(OptionsRecord):
     """
 
     camera: CameraName = None
-    given: Annotated[GivenCamera, Without(("model", "crop", "binning", "scale_to"))] = field(
-        default_factory=GivenCamera
-    )
+    given: Annotated[GivenCamera, Without(("model",))] = field(default_factory=GivenCamera)
     fx: Annotated[float | None, Option("Focal length.", metavar="PIXELS", group=CAMERA)] = None
     fy: Annotated[float | None, Option("Focal length along y; by default fx.", metavar="PIXELS", group=CAMERA)] = None
     cx: Annotated[float | None, Option("Principal point of the left image, x.", metavar="PIXELS", group=CAMERA)] = None
@@ -131,6 +131,7 @@ class StereoCheckOptions(OptionsRecord):
     ]
     camera_file: PairCamera = None
     camera: CameraName = None
+    part: ImagePart = WHOLE
     output: Annotated[
         Path | None,
         output_option("A picture of the check (.png); a folder for several pairs.", Written((".png",), folder=True)),

@@ -15,6 +15,7 @@ from camcal.arrays import FloatArray
 from camcal.cameras.model import Camera
 from camcal.errors import FileError, InvalidInput
 from camcal.formats import cameras, disparity, disparity_sidecar, pair_calibration
+from camcal.formats.addresses import split_address
 from camcal.formats.camera_file import CameraFile, Transform, pair_covariance
 from camcal.formats.cameras.record import MissingSize
 from camcal.formats.disparity import DisparityMap
@@ -22,12 +23,15 @@ from camcal.formats.disparity_sidecar import Sidecar
 from camcal.images.files import load
 from camcal.messages import Message
 from camcal.progress import SILENT, Progress
-from camcal.run.paths import split_address
 from camcal.stereo.disparity import StereoGeometry, of_pair, pinhole_intrinsics
 from camcal.stereo.points.calibration_error import CalibratedPair, CalibrationError, calibration_error
 from camcal.stereo.points.frames import StereoImage
-from camcal.tasks.given_camera import read_camera_file, require_no_image
-from camcal.tasks.options import CAMERA_SUFFIXES, GivenCamera
+from camcal.tasks.given_camera import read_camera_file, require_no_image, require_whole
+from camcal.tasks.options import (
+    CAMERA_SUFFIXES,
+    GivenCamera,
+    ImagePart,
+)
 from camcal.tasks.stereo.options import GeometryOptions
 
 SUFFIXES = (*CAMERA_SUFFIXES, pair_calibration.SUFFIX)  # of files that know cameras
@@ -105,7 +109,7 @@ def pair_of(
     size; FileError.
     """
     _require_size(options.given.size, size, "--size")
-    sources = [_of_sidecar(sidecar), _of_file(address, options.camera, size, progress), _Source(options.numbers())]
+    sources = [_of_sidecar(sidecar), _of_file(address, options, size, progress), _Source(options.numbers())]
     numbers: dict[str, Any] = {}
     sigma: dict[str, float] = {}
     for source in sources:
@@ -141,22 +145,26 @@ def _of_sidecar(sidecar: Sidecar | None) -> _Source:
     return _Source(asdict(sidecar.geometry), sidecar.relative_sigma or {}, sidecar.calibration)
 
 
-def _of_file(address: str | None, camera: str | None, size: tuple[int, int], progress: Progress) -> _Source:
+def _of_file(address: str | None, options: GeometryOptions, size: tuple[int, int], progress: Progress) -> _Source:
+    camera, part = options.camera, options.given.part
     if address is None:
         if camera is not None:
             raise InvalidInput(f"camera {camera!r} is one of a camera file, and none is given")
         return _Source()
     path, named = split_address(address)
     if path.suffix.lower() == pair_calibration.SUFFIX:
+        require_whole(part, f"a camera file, not with {path.name}")
         known = pair_calibration.read(path, camera or named)
         _require_size(known.image_size, size, address)
         return _Source(asdict(known.geometry))
-    return _of_camera_file(path, camera or named, size, address, progress)
+    return _of_camera_file(path, camera or named, size, address, progress, part)
 
 
-def _of_camera_file(path: Path, name: str | None, size: tuple[int, int], address: str, progress: Progress) -> _Source:
+def _of_camera_file(
+    path: Path, name: str | None, size: tuple[int, int], address: str, progress: Progress, part: ImagePart
+) -> _Source:
     """Return what a camera file says of the pair: all of it, or fx, fy, cx, cy where it holds a single camera."""
-    file = read_camera_file(str(path), GivenCamera(), progress, lambda: size)
+    file = read_camera_file(str(path), GivenCamera(part=part), progress, lambda: size)
     pair = _pair(file, name)
     left = file.cameras[pair[0]].camera if pair else cameras.select(file, name, str(path)).camera
     _require_size(left.image_size, size, address)

@@ -10,13 +10,14 @@ import numpy as np
 from camcal import files, records
 from camcal.errors import InvalidInput
 from camcal.formats import native, pair_calibration
+from camcal.formats.addresses import split_address
 from camcal.formats.cameras import ros
 from camcal.images.files import load, save
 from camcal.images.video import frames
 from camcal.options import command_line
 from camcal.progress import SILENT, Outcome, Progress, failed_items, reused
 from camcal.run.outputs import claim, writes
-from camcal.run.paths import find_media, paired, refuse_collisions, split_address
+from camcal.run.paths import find_media, paired, refuse_collisions
 from camcal.stereo.options import RectifiedViewOptions
 from camcal.stereo.rectify.plan import PairMaps, build_pair_maps
 from camcal.stereo.rectify.record import Rectification

@@ -16,6 +16,7 @@ from camcal.cameras.model import Camera
 from camcal.cameras.validity import ImageCircle
 from camcal.errors import CamcalError, InvalidInput
 from camcal.formats import provenance
+from camcal.formats.addresses import split_address
 from camcal.formats.camera_file import (
     STEP,
     CameraEntry,
@@ -32,7 +33,6 @@ from camcal.messages import Message
 from camcal.parsing import did_you_mean
 from camcal.progress import SILENT, Progress
 from camcal.raw.tiles import one_by_one
-from camcal.run.paths import split_address
 from camcal.run.process import keep_freed_memory, over_threads
 from camcal.stereo.disparity import Confidence, Disparity, of_rectification, too_few, why_not_rectified
 from camcal.stereo.matching.learned import learned_disparity
@@ -43,7 +43,11 @@ from camcal.stereo.points.calibration_error import CalibratedPair, calibration_e
 from camcal.stereo.rectify.plan import DEFAULTS, PairMaps, build_pair_maps, plan_rectification
 from camcal.stereo.rectify.record import Rectification, rectified_covariance
 from camcal.tasks.given_camera import Size, read_camera_file, view_outside_region
-from camcal.tasks.options import CAMERA_SUFFIXES, GivenCamera
+from camcal.tasks.options import (
+    CAMERA_SUFFIXES,
+    GivenCamera,
+    ImagePart,
+)
 from camcal.tasks.stereo.rectified_pair import RectifiedPair
 
 _AS_FILE = GivenCamera()
@@ -152,39 +156,40 @@ def read_rig(
 
 
 def unrectified_pair(
-    address: str | None, camera: str | None, size_of_images: Callable[[], Size | None], progress: Progress = SILENT
+    address: str | None, camera: str | None, size_of_images: Callable[[], Size | None], part: ImagePart
 ) -> RigPair | None:
     """Return two cameras of a camera file that are no rectified pair and how they are rectified.
 
     address: FILE, FILE#LEFT, or FILE#LEFT,RIGHT where it has several pairs; camera: the same in place of what follows
-    the #. size_of_images: asked where the file says none. None if no transform joins two cameras of the file, or if
-    they are a rectified pair.
+    the #. size_of_images: asked where the file says none. part: of the cameras' images, that these are. None if no
+    transform joins two cameras of the file, or if they are a rectified pair.
     Raises InvalidInput for cameras that are not there or remain to be chosen, and what cannot be rectified; FileError.
     """
-    rig = _unrectified(address, camera, size_of_images, progress)
+    rig = _unrectified(address, camera, size_of_images, part)
     return None if rig is None else rig_pair(rig, rig.rectification())
 
 
-def require_rectified(address: str | None, camera: str | None, size: Size) -> None:
+def require_rectified(address: str | None, camera: str | None, size: Size, part: ImagePart) -> None:
     """Raise InvalidInput if the camera file of a disparity map is of two cameras that are no rectified pair.
 
-    address, camera: as in `unrectified_pair`. size: of the map, (width, height).
+    address, camera, part: as in `unrectified_pair`. size: of the map, (width, height).
     """
-    rig = _unrectified(address, camera, lambda: size, SILENT)
+    rig = _unrectified(address, camera, lambda: size, part)
     if rig is not None:
         advice = "a disparity map needs the camera file of the rectified pair, or none if it has a sidecar"
         raise InvalidInput(f"{rig.why_not_rectified}; {advice}", where=address)
 
 
 def _unrectified(
-    address: str | None, camera: str | None, size_of_images: Callable[[], Size | None], progress: Progress
+    address: str | None, camera: str | None, size_of_images: Callable[[], Size | None], part: ImagePart
 ) -> GivenRig | None:
     if address is None:
         return None
     path, named = split_address(address)
     if path.suffix.lower() not in CAMERA_SUFFIXES:
         return None
-    rig = _choose(read_camera_file(str(path), _AS_FILE, progress, size_of_images), _names(camera or named), path)
+    given = GivenCamera(part=part)
+    rig = _choose(read_camera_file(str(path), given, SILENT, size_of_images), _names(camera or named), path)
     return None if rig is None or rig.why_not_rectified is None else rig
 
 

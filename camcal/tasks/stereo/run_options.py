@@ -12,7 +12,9 @@ from camcal.stereo.options import MatchOptions, RectifiedViewOptions
 from camcal.tasks.options import (
     CAMERA_SUFFIXES,
     FOLDER,
+    WHOLE,
     GivenCamera,
+    ImagePart,
     Jobs,
     JpegQuality,
     Overwrite,
@@ -54,9 +56,7 @@ class RectifyOptions(OptionsRecord):
             names="--with",
         ),
     ] = None
-    given: Annotated[GivenCamera, Without(("camera_matrix", "distortion", "size", "crop"))] = field(
-        default_factory=GivenCamera
-    )
+    given: Annotated[GivenCamera, Without(("camera_matrix", "distortion", "size"))] = field(default_factory=GivenCamera)
     view: RectifiedViewOptions = field(default_factory=RectifiedViewOptions)
     interpolation: Annotated[
         str,
@@ -225,7 +225,9 @@ class CloudOptions(OptionsRecord):
         Argument("The rectified left image, for colour; or the right image of an unrectified pair.", metavar="IMAGE"),
     ] = None
     camera_file: PairCamera = None
-    geometry: GeometryOptions = field(default_factory=GeometryOptions)
+    geometry: Annotated[GeometryOptions, Without(("given.part.crop",))] = field(  # --crop is of the cloud
+        default_factory=GeometryOptions
+    )
     scale: Annotated[
         float | None,
         Option(
@@ -257,6 +259,7 @@ _CALIBRATION = (
     "timing.unit",
     "lenses",
     "guess",
+    *(f"part.{each.name}" for each in fields(ImagePart)),
     "free_corners",
     "max_rejected",
     "report",
@@ -310,6 +313,7 @@ class RunOptions(OptionsRecord):
         int, Option("Use one of every N pairs; of videos, one of every N frames.", metavar="N", group=INPUT, least=1)
     ] = 1
     cameras: PairNames = None
+    part: Annotated[ImagePart, Without(("crop",))] = WHOLE  # --crop is of the clouds
     settings: Annotated[RigSettings, Without(_CALIBRATION)] = field(default_factory=RigSettings)
     view: RectifiedViewOptions = field(default_factory=RectifiedViewOptions)
     matching: MatchOptions = field(default_factory=MatchOptions)

@@ -21,6 +21,7 @@ from camcal.run.outputs import claim, writes
 from camcal.run.paths import find_pairs, place
 from camcal.stereo.pair.pair_check import PairCheck, check_pair
 from camcal.tasks.given_camera import Size
+from camcal.tasks.options import GivenCamera
 from camcal.tasks.stereo.options import GeometryOptions, StereoCheckOptions
 from camcal.tasks.stereo.rectified_pair import RectifiedPair, pair_of, warn_of_file
 from camcal.tasks.stereo.rig_pair import PairImages, RigPair, read_pair, unrectified_pair
@@ -66,10 +67,11 @@ def stereo_check(options: StereoCheckOptions, progress: Progress = SILENT) -> li
     pairs = find_pairs(options.left, options.right, options.recursive)
     pictures = _pictures(pairs, options.output)
     warn_of_file(options.camera_file, progress)
-    rig = unrectified_pair(options.camera_file, options.camera, lambda: load(pairs[0][0]).size)
+    rig = unrectified_pair(options.camera_file, options.camera, lambda: load(pairs[0][0]).size, options.part)
     if rig is not None:
         warn_of(rig.rectification.warnings, progress)
-    known = partial(pair_of, GeometryOptions(camera=options.camera), options.camera_file)
+    given = GeometryOptions(options.camera, GivenCamera(part=options.part))
+    known = partial(pair_of, given, options.camera_file)
     work = partial(_check_files, pictures=pictures, known=known, rig=rig)
     jobs, batch = options.jobs, options.batch
     if len(pairs) == 1:

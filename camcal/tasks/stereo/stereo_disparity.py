@@ -135,7 +135,8 @@ def _rig(pairs: Sequence[Pair], options: DisparityOptions, progress: Progress) -
     """Return the cameras that the pairs are to be rectified by, None if they are rectified."""
     if options.geometry.numbers():
         return None
-    rig = unrectified_pair(options.camera_file, options.geometry.camera, lambda: load(pairs[0][0]).size)
+    given = options.geometry
+    rig = unrectified_pair(options.camera_file, given.camera, lambda: load(pairs[0][0]).size, given.given.part)
     if rig is not None:
         warn_of(rig.rectification.warnings, progress)
     return rig

@@ -31,6 +31,7 @@ from camcal.run.paths import find_media, find_pairs, place
 from camcal.run.resume import Items, resumable
 from camcal.stereo.pair.pair_check import PairCheck
 from camcal.stereo.rectify.record import Rectification
+from camcal.tasks.options import GivenCamera
 from camcal.tasks.rigs.calibrate_rig import calibrated
 from camcal.tasks.rigs.rig_result import RigReport
 from camcal.tasks.rigs.rig_views import rig_views
@@ -195,7 +196,8 @@ def stereo_run(options: RunOptions, progress: Progress = SILENT) -> RunReport:
     calibration = None if options.rig else _calibrate(options, folder / RIG, progress)
     address = options.rig or str(folder / RIG)
     # what is said of a file made here, its calibration has said already
-    rig = read_rig(address, options.cameras, scene.size, progress=SILENT if calibration else progress)
+    heard = SILENT if calibration else progress
+    rig = read_rig(address, options.cameras, scene.size, given=GivenCamera(part=options.part), progress=heard)
     rectification = rig.rectification(options.view)
     warn_of((each.at(address) for each in rectification.warnings), progress)
     outcomes = list(_outcomes(scene, rig_pair(rig, rectification), rig.path, options, progress))
