@@ -37,7 +37,8 @@ def headline(calibration: Calibration) -> str:
     focal = ", ".join(
         f"{name} {' ± '.join(value_and_std(camera.value(name), camera.std(name)))}" for name in ("fx", "fy")
     )
-    return f"Lens model {camera.model.name}, {focal} px"
+    unit = "px" if camera.model.is_central else "px/m"
+    return f"Lens model {camera.model.name}, {focal} {unit}"
 
 
 def candidate_rows(candidates: Sequence[CandidateModel]) -> list[list[str]]:
