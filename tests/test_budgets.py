@@ -35,7 +35,7 @@ LINES = {
     "quality": 3227,
     "raw": 5015,
     "records": 155,
-    "report": 7363,
+    "report": 7364,
     "run": 3677,
     "simulate": 1709,
     "solve": 1863,
