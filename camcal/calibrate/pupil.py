@@ -60,12 +60,12 @@ def entrance_pupil(estimate: Estimate) -> EntrancePupil | None:
     if largest < _WIDE or not central.model.is_central or not len(central.free):
         return None
     try:
-        return _estimated(estimate, central, angles, largest)
+        return _fit_shift(estimate, central, angles, largest)
     except (SingularError, np.linalg.LinAlgError):
         return None
 
 
-def _estimated(estimate: Estimate, central: BoardProblem, angles: Array, largest: float) -> EntrancePupil:
+def _fit_shift(estimate: Estimate, central: BoardProblem, angles: Array, largest: float) -> EntrancePupil:
     """Return the shift, the last one of the parameters that views share, without a prior."""
     state, place, shift, table = estimate.state, central.shared, 0.0, central.observations
     for number in range(_STEPS):

@@ -126,12 +126,12 @@ def misfit(problem: BoardProblem, state: State, residuals: Array, most: float = 
         outwards = float(np.searchsorted(right, wrong).mean() / len(right)) if len(wrong) and len(right) else np.nan
         # corners that are numbered otherwise point to the middle of their board, which views may have in common as well
         numbered = present & (distances < ROUGH * found.sides[:, None])
-        shared = _shared(problem.observations.pixels, residuals, numbered)
+        shared = _are_alike(problem.observations.pixels, residuals, numbered)
         return replace(found, roughness=roughness(problem), smoothness=smooth, outwards=outwards, shared=shared)
     return found
 
 
-def _shared(pixels: Array, residuals: Array, present: Array) -> bool:
+def _are_alike(pixels: Array, residuals: Array, present: Array) -> bool:
     """Return whether residuals (2, V, P) of different views are alike at the same place of the image."""
     seen = present & np.isfinite(residuals).all(axis=0)
     if not seen.any():

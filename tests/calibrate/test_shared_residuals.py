@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from camcal.calibrate.refusals import _shared
+from camcal.calibrate.refusals import _are_alike
 from camcal.calibrate.shared_residuals import CellSums
 
 ONE = np.full((16, 12), 1 / 16)  # as many corners in each cell in all
@@ -50,14 +50,14 @@ def test_a_lens_model_that_does_not_fit_leaves_more_than_half_as_much_in_common_
     common, own = rng.normal(size=middles.shape), rng.normal(size=(2, views, middles.shape[2]))
     pixels = np.broadcast_to(middles, own.shape)
     residuals = np.sqrt(part) * common + np.sqrt(1 - part) * own
-    assert _shared(pixels, residuals, np.ones(own.shape[1:], bool)) == of_lens
+    assert _are_alike(pixels, residuals, np.ones(own.shape[1:], bool)) == of_lens
 
 
 @pytest.mark.parametrize(("views", "of_lens"), [(3, False), (4, True)])
 def test_what_three_views_have_in_common_may_be_chance(views, of_lens):
-    assert _shared(*one_corner_each(*[1.0] * views)) == of_lens
+    assert _are_alike(*one_corner_each(*[1.0] * views)) == of_lens
 
 
 @pytest.mark.parametrize(("alike", "of_lens"), [(2, False), (4, True)])
 def test_a_corner_that_is_far_off_counts_with_ten_medians(alike, of_lens):
-    assert _shared(*one_corner_each(*[1.0] * alike, 1000.0, cells=8)) == of_lens
+    assert _are_alike(*one_corner_each(*[1.0] * alike, 1000.0, cells=8)) == of_lens

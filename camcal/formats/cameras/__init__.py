@@ -213,7 +213,7 @@ def format_for(path: Path, wanted: str | None, source: CameraFormat, *, by_suffi
     if isinstance(meant, Row):
         what = f"is a name of {meant.title}, which is not written"
         raise InvalidInput(
-            f"{what}: choose another one, or give --to and one of {', '.join(_written())}", where=str(path)
+            f"{what}: choose another one, or give --to and one of {', '.join(_writable())}", where=str(path)
         )
     if meant is not None:
         return meant
@@ -228,13 +228,13 @@ def _unclear(path: Path, known: Sequence[CameraFormat]) -> InvalidInput:
     if not known and path.suffix:
         suffixes = dict.fromkeys(suffix for form in FORMATS.values() for suffix in form.suffixes)
         return InvalidInput(f"{path.suffix} is not a camera file; use one of {' '.join(suffixes)}", where=str(path))
-    names = ", ".join([form.name for form in known] or _written())
+    names = ", ".join([form.name for form in known] or _writable())
     kind = path.suffix or "a folder"
     several = "several formats" if len(known) != 1 else "another format only"
     return InvalidInput(f"{kind} is written in {several}: give --to and one of {names}", where=str(path))
 
 
-def _written() -> list[str]:
+def _writable() -> list[str]:
     """Return the names of the formats that are written."""
     return [form.name for form in FORMATS.values() if form.suffixes]
 
