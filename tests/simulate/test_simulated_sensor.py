@@ -75,7 +75,7 @@ def test_a_sensor_that_cannot_be_is_refused(wrong):
         Sensor(**wrong)
 
 
-@pytest.mark.parametrize("model", MODELS.values(), ids=lambda model: model.name)
+@pytest.mark.parametrize("model", [own for own in MODELS.values() if own.is_central], ids=lambda own: own.name)
 def test_aberration_moves_red_out_and_blue_in_by_its_pixels_at_the_furthest_corner(model):
     camera = make_camera(model, (1280, 960), np.radians(70))
     views = lenses(camera, 0.5)
