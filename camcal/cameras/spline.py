@@ -246,7 +246,6 @@ class SplinedStereographic(Stereographic):
     degree: int = CUBIC
 
     is_view: ClassVar[bool] = False
-    is_central: ClassVar[bool] = True
 
     @cached_property
     def grid(self) -> Knots:

@@ -34,7 +34,7 @@ def make_view(camera: Camera, options: ViewOptions | None = None, circle: ImageC
     if not camera.model.is_central and (options.projection != PINHOLE or options.fov_deg is not None):
         require_central(camera.model)
     if options.keep_k:
-        model, parameters = _undistorted(camera, camera.parameters[:4])
+        model, parameters = _straight_lens(camera, camera.parameters[:4])
         scale = size[0] / camera.image_size[0], size[1] / camera.image_size[1]
         return Camera(model, size, model.rescale(parameters, scale, (0.0, 0.0)))
     if options.projection == PINHOLE and options.fov_deg is None:
@@ -48,7 +48,7 @@ def make_view(camera: Camera, options: ViewOptions | None = None, circle: ImageC
     return Camera(model, size, model.start(size, size[0] / 2 / half_width))
 
 
-def _undistorted(camera: Camera, core: Array) -> tuple[CameraModel, Array]:
+def _straight_lens(camera: Camera, core: Array) -> tuple[CameraModel, Array]:
     """Return the lens without distortion whose images have straight lines, with parameters that begin with these (4,):
     a pinhole, or with parallel rays such a lens.
     """
@@ -119,7 +119,7 @@ def _fill(camera: Camera, box: Array, size: tuple[int, int]) -> Camera:
     if not (box[2:] - box[:2] > _NARROWEST).all():
         raise _no_crop(size)
     focal = (np.array(size) - 1) / (box[2:] - box[:2])
-    model, parameters = _undistorted(camera, np.concatenate([focal, -box[:2] * focal]))
+    model, parameters = _straight_lens(camera, np.concatenate([focal, -box[:2] * focal]))
     return Camera(model, size, parameters)
 
 

@@ -68,12 +68,16 @@ def require_whole(part: ImagePart, instead: str) -> None:
         raise InvalidInput(f"--crop, --binning and --scale-to go with {instead}")
 
 
-def read_part(path: Path, part: ImagePart, progress: Progress = SILENT, size: Size | None = None) -> CameraFile:
+def read_part(
+    path: Path, part: ImagePart, progress: Progress = SILENT, size: Size | None = None, *, central: bool = True
+) -> CameraFile:
     """Return the content of a camera file, its cameras those of a part of their images; size: where the file has none.
+    central: as of `read_camera_file`.
 
-    Raises InvalidInput and FileError as `cameras.read` and `framed` do.
+    Raises InvalidInput and FileError as `cameras.read`, `framed` and `central_file` do.
     """
-    return framed(cameras.read(path, progress, Given(size)), framing_of(part))
+    file = framed(cameras.read(path, progress, Given(size)), framing_of(part))
+    return central_file(file, path) if central else file
 
 
 def _read_camera_file(

@@ -196,7 +196,7 @@ def _trajectory(path: Path, reference: Path | None) -> Drawable:
 
 
 def _camera(path: Path, part: ImagePart, progress: Progress) -> Drawable:
-    file = read_part(path, part, progress)
+    file = read_part(path, part, progress, central=False)
     rig = inspect_rig(file, str(path))
     if rig is None:
         return Drawable(path, "camera", camera_file_plots(file))

@@ -270,7 +270,7 @@ def _guess(options: CalibrateOptions, progress: Progress) -> CameraEntry | None:
         return None
     path, name = split_address(options.guess)
     # a start may be poor; what is held at its value may not
-    file = read_part(path, options.part, progress if options.fix else SILENT)
+    file = read_part(path, options.part, progress if options.fix else SILENT, central=False)
     return cameras.select(file, name, str(path))
 
 

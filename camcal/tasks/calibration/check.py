@@ -44,7 +44,7 @@ from camcal.targets.detection import BoardDetection
 from camcal.tasks.calibration.advise import pose_words
 from camcal.tasks.calibration.board_views import board_views, view_settings
 from camcal.tasks.calibration.check_options import CheckOptions
-from camcal.tasks.given_camera import central_file, read_part, require_no_image
+from camcal.tasks.given_camera import read_part, require_no_image
 from camcal.tasks.rigs.options import RigSettings
 from camcal.tasks.rigs.rig_views import rig_views
 
@@ -92,7 +92,7 @@ def check(options: CheckOptions, progress: Progress = SILENT) -> CheckReport:
     """
     path, name = split_address(options.camera)
     require_no_image(path)
-    file = central_file(read_part(path, options.part, progress), path)
+    file = read_part(path, options.part, progress)
     entries = dict(file.cameras) if name is None else {name: cameras.select(file, name, str(path))}
     board = options.board
     if board is None and file.board_shape is not None:

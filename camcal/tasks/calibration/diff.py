@@ -20,10 +20,7 @@ from camcal.quality.camera_comparison import Calibrated, CameraComparison, Exces
 from camcal.report.table import Column
 from camcal.run.outputs import claim, writes
 from camcal.tasks.calibration.options import DiffOptions
-from camcal.tasks.given_camera import (
-    read_part,
-    require_no_image,
-)
+from camcal.tasks.given_camera import read_part, require_no_image
 from camcal.tasks.options import WHOLE, ImagePart
 
 COLUMNS = (
@@ -121,7 +118,7 @@ def _read(address: str, part: ImagePart) -> dict[str, Calibrated]:
     """Return the cameras of a file, or the one that an address names, by their names in it."""
     path, name = split_address(address)
     require_no_image(path)
-    file = read_part(path, part)
+    file = read_part(path, part, central=False)
     if name is not None or len(file.cameras) == 1:
         return {name or next(iter(file.cameras)): calibration_of(address, cameras.select(file, name, str(path)), file)}
     return {each: calibration_of(f"{address}#{each}", entry, file) for each, entry in file.cameras.items()}

@@ -47,7 +47,7 @@ from camcal.tasks.calibration.handeye_poses import (
     seen_poses,
     time_of,
 )
-from camcal.tasks.given_camera import central_file, read_part, require_no_image
+from camcal.tasks.given_camera import read_part, require_no_image
 from camcal.tasks.rigs.options import RigSettings
 from camcal.tasks.rigs.rig_views import rig_views
 
@@ -150,7 +150,7 @@ def _given_cameras(options: HandEyeOptions, progress: Progress) -> GivenCameras:
         return GivenCameras(None, {})
     path, name = split_address(options.camera)
     require_no_image(path)
-    file = central_file(read_part(path, options.part, progress), path)
+    file = read_part(path, options.part, progress)
     if name is None and len(file.cameras) > 1:
         rig, frame = rig_of(file, str(path))
         poses = {each: own.inverse() for each, own in rig.rig_T_camera.items()}

@@ -64,7 +64,7 @@ def inspect(options: InspectOptions) -> Inspection:
     errors of measurements where no covariance is known.
     """
     path, camera = options.address
-    file = read_part(path, options.part, size=options.layout.size)
+    file = read_part(path, options.part, size=options.layout.size, central=False)
     if camera is not None:
         cameras.select(file, camera, str(path))
     names = list(file.cameras) if camera is None else [camera]

@@ -31,7 +31,7 @@ from camcal.targets.board import Board
 from camcal.targets.detection import BoardDetection
 from camcal.tasks.calibration.mixed_sizes import usual_size
 from camcal.tasks.calibration.model_selection import brief_calibration, compared, rank_beside
-from camcal.tasks.given_camera import central_file, read_part, require_whole
+from camcal.tasks.given_camera import read_part, require_whole
 from camcal.tasks.rigs.options import JOINT, PRIOR, RigSettings
 
 _SIMILAR = 1.3  # ratio of rough focal lengths, up to which two cameras may be of a kind
@@ -101,7 +101,7 @@ def given_lenses(settings: RigSettings, names: Sequence[str], progress: Progress
 
 def _read(path: Path, settings: RigSettings, progress: Progress) -> CameraFile:
     # a start may be poor; what is held at its value may not
-    return central_file(read_part(path, settings.part, SILENT if settings.lenses == JOINT else progress), path)
+    return read_part(path, settings.part, SILENT if settings.lenses == JOINT else progress)
 
 
 def _require_camera(name: str, names: Sequence[str], where: str) -> None:

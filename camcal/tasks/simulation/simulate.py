@@ -36,7 +36,7 @@ from camcal.simulate.scene import Truth, captures, make_camera, motion, observe,
 from camcal.targets.board import Board, Surface
 from camcal.targets.detection import Detections
 from camcal.targets.pattern import pattern_of
-from camcal.tasks.given_camera import central_file, read_part
+from camcal.tasks.given_camera import read_part
 from camcal.tasks.simulation.frames import clear_frames, fixed_pattern, how_made, take_frames, truth_entry
 from camcal.tasks.simulation.options import SimulateOptions
 
@@ -114,7 +114,7 @@ def _rig(options: SimulateOptions, progress: Progress) -> CameraFile | None:
     if options.camera is None:
         return None
     path, name = split_address(options.camera)
-    file = central_file(read_part(path, options.part, progress), path)
+    file = read_part(path, options.part, progress)
     if options.name or name or len(file.cameras) < MIN_CAMERAS:
         return None
     _require_no_lens(options)
