@@ -2,8 +2,8 @@
 
 A board moved by hand (a sum of sinusoids, no spline) before two cameras of 30 frames per second whose clocks are up to
 30 frames and 50 ppm apart, corners with noise of 0.1 px, 5 % of the frames missing. Per row of the table: RMS and
-largest error, of offsets in frames, of readout times in percent, and how often the truth lies within 1.96 reported
-standard deviations.
+largest error, of offsets in frames, of readout times in percent, the RMS of the reported standard deviations, and how
+often the truth lies within 1.96 of them.
 
     python benchmarks/moving_board_times.py [--runs 110] [--first-seed 0] [--frames 200] [--readout MS] [--speed 30]
 """
@@ -37,12 +37,12 @@ def main() -> None:
     arguments = parser.parse_args()
     seeds = range(arguments.first_seed, arguments.first_seed + arguments.runs)
     found = [run(seed, arguments.frames, 1e-3 * arguments.readout, arguments.speed) for seed in seeds]
-    print(f"{'':26} {'runs':>5} {'RMS':>9} {'largest':>9} {'within 1.96 std':>16}")
+    print(f"{'':30} {'runs':>5} {'RMS':>9} {'largest':>9} {'claimed':>9} {'within 1.96 std':>16}")
     for name in found[0]:
         errors, stds = np.array([own[name] for own in found]).T
         inside = np.mean(np.abs(errors) < 1.96 * stds)
-        rms, largest = np.sqrt(np.mean(errors**2)), np.abs(errors).max()
-        print(f"{name:26} {len(errors):5} {rms:9.2g} {largest:9.2g} {100 * inside:14.1f} %")
+        rms, largest, claimed = np.sqrt(np.mean(errors**2)), np.abs(errors).max(), np.sqrt(np.mean(stds**2))
+        print(f"{name:30} {len(errors):5} {rms:9.2g} {largest:9.2g} {claimed:9.2g} {100 * inside:14.1f} %")
 
 
 def run(seed: int, frames: int, readout: float, speed: float) -> dict[str, tuple[float, float]]:
@@ -63,6 +63,10 @@ def run(seed: int, frames: int, readout: float, speed: float) -> dict[str, tuple
         "offset, frames": (FPS * (own.offset - offset - rate * own.reference), FPS * own.offset_std),
         "rate, ppm": (1e6 * (own.rate - rate), 1e6 * own.rate_std),
     }
+    if readout:
+        apart = (both["right"].readout - readout) / 2
+        error = own.middle_offset - offset - rate * own.reference - apart
+        result["offset of middle rows, frames"] = FPS * error, FPS * own.middle_offset_std
     for name, camera in both.items() if readout else ():
         share = 100 / camera.readout
         error = times[name].readout - camera.readout

@@ -75,8 +75,8 @@ SENSOR: Mapping[str, Check] = {
 }
 # Row y of H of an image is taken at stamp + offset + rate · (stamp - reference) + readout · y / H.
 TIMING: Mapping[str, Check] = {
-    **dict.fromkeys(("offset_s", "rate", "reference_s", "readout_s"), number()),
-    **dict.fromkeys(("offset_std_s", "rate_std", "readout_std_s"), number(0)),
+    **dict.fromkeys(("offset_s", "rate", "reference_s", "readout_s", "middle_offset_s"), number()),
+    **dict.fromkeys(("offset_std_s", "rate_std", "readout_std_s", "middle_offset_std_s"), number(0)),
 }
 CORE = ("fx", "fy", "cx", "cy", "skew")  # named under intrinsics; all others are named under distortion
 PROJECTION_FIGURES = ("centre_px", "rms_px", "median_px", "p95_px", "max_px", "inside_rms_px", "inside_max_px")

@@ -19,6 +19,9 @@ def time_lines(times: "CameraTimes | None") -> Iterator[str]:
             rate, rate_std = value_and_std(1e6 * own.rate, 1e6 * own.rate_std)
             frames = f"{own.offset / times.interval:+.4f} frames"
             yield f"Time offset of {name}: {offset} ± {std} ms ({frames}), clock rate {rate} ± {rate_std} ppm"
+        if own.middle_offset is not None:
+            offset, std = value_and_std(1e3 * own.middle_offset, 1e3 * own.middle_offset_std)
+            yield f"Time offset of {name} between the middle rows: {offset} ± {std} ms"
         if own.readout is not None:
             readout, std = value_and_std(1e3 * own.readout, 1e3 * own.readout_std)
             yield f"Readout time{f' of {name}' if name else ''}: {readout} ± {std} ms"
@@ -39,4 +42,9 @@ def time_data(own: "CameraTime") -> dict[str, float]:
         "reference_s": own.reference,
     }
     shutter = {} if own.readout is None else {"readout_s": own.readout, "readout_std_s": own.readout_std}
-    return (clock if own.offset_std else {}) | shutter
+    middle = (
+        {}
+        if own.middle_offset is None
+        else {"middle_offset_s": own.middle_offset, "middle_offset_std_s": own.middle_offset_std}
+    )
+    return (clock if own.offset_std else {}) | shutter | middle

@@ -290,7 +290,22 @@ def test_an_offset_of_many_frames_is_found_with_dropped_frames(frames_apart):
     assert abs(own.offset - offset) < 4 * own.offset_std
     assert own.offset_std < 1e-3 / 30
     assert times.cameras["left"].offset_std == 0
+    assert own.middle_offset is None
     assert not times.warnings
+
+
+def test_the_offset_between_middle_rows_is_known_better_than_that_of_first_rows():
+    cameras = {"left": Clocked(readout=READOUT_S), "right": Clocked(**RIGHT, offset=0.2, readout=0.8 * READOUT_S)}
+    rng = np.random.default_rng(8)
+    motion = by_hand(rng)
+    views = {name: own.views(motion, 110, rng, name=name) for name, own in cameras.items()}
+    timed = {name: TimedCamera(lens_of(own), own, as_designed=True) for name, own in views.items()}
+    times = time_cameras(timed, offsets=True, shutter=True)
+    own = times.cameras["right"]
+    assert abs(own.middle_offset - (0.2 - 0.1 * READOUT_S)) < 4 * own.middle_offset_std
+    assert own.middle_offset_std < 0.4 * own.offset_std
+    assert own.middle_offset_std < 1e-3 / 30
+    assert times.cameras["left"].middle_offset is None
 
 
 def test_several_offsets_fit_a_motion_that_repeats_itself():

@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 from timed_scenes import BOARD, Clocked, by_hand, rotations
 
+from camcal.calibrate.timing.record import CameraTime, CameraTimes
 from camcal.formats import detections, native
+from camcal.report.times import time_lines
 from camcal.targets.detection import Detections
 from camcal.tasks.rigs.calibrate_rig import document, rig
 from camcal.tasks.rigs.options import RigSettings, RigTaskOptions
@@ -65,6 +67,17 @@ def test_the_readout_time_of_each_camera_is_told(calibrated):
     for name, readout in zip(("left", "right"), READOUTS, strict=True):
         own = told["times"][name]
         assert abs(own["readout_s"] - readout) < 3 * own["readout_std_s"] < 1e-3
+
+
+def test_the_offset_between_middle_rows_is_told_beside_that_of_first_rows(calibrated):
+    _, told = calibrated
+    own = told["times"]["right"]
+    readouts = [told["times"][name]["readout_s"] for name in ("left", "right")]
+    assert own["middle_offset_s"] == pytest.approx(own["offset_s"] + (readouts[1] - readouts[0]) / 2)
+    known = CameraTime(0.3, 1e-5, 0, 1e-6, 2.0, 0.02, 1e-4, middle_offset=0.298, middle_offset_std=4e-6)
+    assert "Time offset of right between the middle rows: 298.0000 ± 0.0040 ms" in time_lines(
+        CameraTimes({"right": known}, FRAME)
+    )
 
 
 def test_where_the_cameras_stand_is_that_of_one_moment(calibrated):

@@ -157,15 +157,17 @@ def _record(names: tuple[str, ...], sources: Sequence[_Source], estimate: TimeEs
     times = {}
     for camera, name in enumerate(names):
         reference = float(estimate.references[camera])
-        apart = reference - float(estimate.references[0])
+        offset = float(state.times[OFFSET, camera]) - (reference - float(estimate.references[0]))
+        middle = estimate.middle_offset(camera)
         times[name] = CameraTime(
-            float(state.times[OFFSET, camera]) - apart,
+            offset,
             estimate.std(OFFSET, camera),
             float(state.times[RATE, camera]),
             estimate.std(RATE, camera),
             reference,
             float(state.times[READOUT, camera]) if problem.free[READOUT, camera] else None,
             estimate.std(READOUT, camera),
+            *((offset + middle[0], middle[1]) if middle else ()),
         )
     result = TimeCalibration(times, estimate.interval, estimate, {}, ())
     moved = {

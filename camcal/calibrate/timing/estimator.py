@@ -58,6 +58,17 @@ class TimeEstimate:
         column = self.problem.time_columns[which, camera]
         return float(np.sqrt(self.covariance[column, column])) if column >= 0 else 0.0
 
+    def middle_offset(self, camera: int) -> tuple[float, float] | None:
+        """Return by how much the offset of a camera's middle row against the first camera's exceeds that of the first
+        rows, s, and the standard deviation of the former; None where not all of its times are free.
+        """
+        columns = self.problem.time_columns[[OFFSET, READOUT, READOUT], [camera, camera, 0]]
+        if (columns < 0).any():
+            return None
+        weights, readouts = np.array([1.0, 0.5, -0.5]), self.state.times[READOUT]
+        variance = weights @ self.covariance[np.ix_(columns, columns)] @ weights
+        return float(readouts[camera] - readouts[0]) / 2, float(np.sqrt(variance))
+
 
 def estimate_times(
     surface: Surface,

@@ -16,6 +16,8 @@ from camcal.targets.detection import BoardDetection
 class CameraTime:
     """When a camera took its images, s: row y of H at stamp + offset + rate · (stamp - reference) + readout · y / H, in
     the time of the first camera. readout: None where it was not estimated. Standard deviations are 0 for what is held.
+    middle_offset: between the middle rows of both cameras, which the motion shows far better than the first ones'; None
+    where nothing or one of both times is held.
     """
 
     offset: float
@@ -25,6 +27,8 @@ class CameraTime:
     reference: float
     readout: float | None = None
     readout_std: float = 0.0
+    middle_offset: float | None = None
+    middle_offset_std: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
