@@ -32,7 +32,7 @@ LINES = {
     "options": 396,
     "parsing": 86,
     "progress": 149,
-    "quality": 3227,
+    "quality": 3229,
     "raw": 5015,
     "records": 155,
     "report": 7382,

@@ -696,6 +696,8 @@ def test_what_a_lens_does_outside_of_its_image_circle_does_not_matter(good):
     near = by_code(folding(reaching(good, 300), 500), circle)
     assert "the end of the image circle is at 650 px" in near["partly_invertible"].text
     assert "no corners beyond 46 % of the image circle" in near["extrapolated"].text
+    inside = by_code(folding(reaching(good, 600), 500), circle)["not_invertible"]
+    assert inside.text.endswith("the end of the image circle is at 650 px: add views with the board at its edge")
 
 
 def test_corners_that_reach_little_are_said_to_leave_out_what_is_outside_not_to_cover_little(good):
