@@ -729,7 +729,10 @@ def test_a_lens_model_is_proposed_if_it_was_tried_and_passes(good):
     failed = CandidateModel("kannala_brandt5t", reason="no start was found")
     assert text(used, *passing).endswith("; use --model opencv8, which passes all checks in a brief calibration")
     assert "use --model opencv8," in text(refused, used, passing[0], failed)
-    none = "; none of kannala_brandt4 passes all checks either: add views with the board all over the image"
+    none = (
+        "; none of kannala_brandt4 passes all checks in a brief calibration either: "
+        "add views with the board all over the image"
+    )
     assert text(used, refused, failed).endswith(none)
 
 
