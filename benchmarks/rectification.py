@@ -4,11 +4,14 @@ rigs: pairs have lenses of 5° to 200°; the judge is in rectified_rigs.py and s
 right if its images are neither empty, turned nor mirrored and hold 85 % of the points that both cameras see at several
 distances. OpenCV is called with alpha = 1 and with its default (of fisheye: balance 1 and 0), and the better result
 counts.
+orientations: pairs with any roll and baseline. Said: that less than 85 % is kept, that axes meet or pass each other
+next to the cameras, or that images are rotated.
 rows: both images are rendered by formulas of their own (a solid texture on a tilted plane, or on a sphere around the
 cameras), rectified, and matched in two dimensions by OpenCV's optical flow.
 speed: 12 MP colour images through the maps of a pair, and through cv2.remap with the same maps.
 
     python benchmarks/rectification.py [rigs] [--rigs 2000] [--seed 1]
+    python benchmarks/rectification.py orientations [--rigs 450] [--seed 1 2 3]
     python benchmarks/rectification.py rows [--folder FOLDER]
     python benchmarks/rectification.py speed [--repeats 15]
 """
@@ -25,7 +28,22 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from rectified_rigs import BROWN, FISHEYE, KINDS, Image, Lens, RandomRig, Rectified, RigVerdict, judge, random_rigs
+from rectified_rigs import (
+    BROWN,
+    FISHEYE,
+    KEPT,
+    KINDS,
+    ORIENTATIONS,
+    Image,
+    Lens,
+    RandomRig,
+    Rectified,
+    RigVerdict,
+    judge,
+    median_turn,
+    random_rigs,
+    rigs_of_any_orientation,
+)
 
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
@@ -41,15 +59,17 @@ COLUMNS = ("right", "refused", "reason said", "kept < 85 %", "empty", "turned", 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("table", nargs="?", choices=("rigs", "rows", "speed"), default="rigs")
+    parser.add_argument("table", nargs="?", choices=("rigs", "orientations", "rows", "speed"), default="rigs")
     parser.add_argument("--rigs", type=int, default=2000)
-    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--seed", type=int, nargs="+", default=[1])
     parser.add_argument("--repeats", type=int, default=15)
     parser.add_argument("--folder", type=Path, help="where rows writes its pairs")
     parser.add_argument("--list", action="store_true", help="print every pair that is not right")
     arguments = parser.parse_args()
     if arguments.table == "rigs":
-        print_rigs(arguments.rigs, arguments.seed, listed=arguments.list)
+        print_rigs(arguments.rigs, arguments.seed[0], listed=arguments.list)
+    elif arguments.table == "orientations":
+        print_orientations(arguments.rigs, arguments.seed)
     elif arguments.table == "rows":
         print_rows(arguments.folder)
     else:
@@ -84,15 +104,53 @@ def print_rigs(count: int, seed: int, *, listed: bool) -> None:
     )
 
 
-def of_camcal(rig: RandomRig, seed: int) -> tuple[str, RigVerdict | None]:
-    names = ("first", "second")
-    cameras = {name: camera_of(lens) for name, lens in zip(names, rig.lenses, strict=True)}
-    circles = {name: circle_of(lens) for name, lens in zip(names, rig.lenses, strict=True)}
+def print_orientations(count: int, seeds: list[int]) -> None:
+    columns = ("whole", "refused", "part lost, said", "part lost, not said", "turned > 60°", "of them said", "other")
+    results = {kind: Counter() for kind in ORIENTATIONS}
+    for number, rig in enumerate(each for seed in seeds for each in rigs_of_any_orientation(count, seed)):
+        plan = plan_of(rig)
+        if plan is None:
+            results[rig.kind]["refused"] += 1
+            continue
+        found = rectified(plan, NAMES)
+        verdict, said = judge(rig, found, number), {warning.code for warning in plan.warnings}
+        if verdict.is_right:
+            outcome = "whole"
+        elif verdict.problems and verdict.problems != ("turned",):
+            outcome = "other"
+        else:
+            warned = said & {"field_not_kept", "converging_cameras"}
+            outcome = "whole" if verdict.kept >= KEPT else f"part lost, {'said' if warned else 'not said'}"
+        results[rig.kind][outcome] += 1
+        if max(median_turn(*each) for each in zip(rig.lenses, found.images, strict=True)) > 60:
+            results[rig.kind]["turned > 60°"] += 1
+            results[rig.kind]["of them said"] += "rotated_images" in said
+        if outcome in ("other", "part lost, not said"):
+            print(number, rig.kind, outcome, verdict.problems, round(verdict.kept, 3), sorted(said), flush=True)
+    print(f"| {count * len(seeds) // len(ORIENTATIONS)} pairs each | {' | '.join(columns)} |")
+    print("|---" * (len(columns) + 1) + "|")
+    for kind, counts in results.items():
+        print(f"| {kind} | {' | '.join(str(counts[each]) for each in columns)} |")
+
+
+NAMES = ("first", "second")
+
+
+def plan_of(rig: RandomRig) -> Rectification | None:
+    """Return how camcal rectifies a rig, None where it refuses to."""
+    cameras = {name: camera_of(lens) for name, lens in zip(NAMES, rig.lenses, strict=True)}
+    circles = {name: circle_of(lens) for name, lens in zip(NAMES, rig.lenses, strict=True)}
     try:
-        plan = plan_rectification(cameras, Pose(rig.rotation, rig.translation), circles=circles)
+        return plan_rectification(cameras, Pose(rig.rotation, rig.translation), circles=circles)
     except CamcalError:
+        return None
+
+
+def of_camcal(rig: RandomRig, seed: int) -> tuple[str, RigVerdict | None]:
+    plan = plan_of(rig)
+    if plan is None:
         return "refused", None
-    verdict = judge(rig, rectified(plan, names), seed)
+    verdict = judge(rig, rectified(plan, NAMES), seed)
     said = any(warning.code == "field_not_kept" for warning in plan.warnings)
     return _outcome(verdict, said=said), verdict
 

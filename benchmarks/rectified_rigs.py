@@ -13,6 +13,7 @@ import numpy as np
 Array = np.ndarray
 
 KINDS = ("parallel", "toed-in", "vertical", "swapped", "mixed lenses", "upside-down", "axial", "oblique")
+ORIENTATIONS = ("any roll", "any baseline", "quarter turns")
 SIZES = ((640, 480), (752, 480), (1024, 1024), (1280, 720), (1920, 1200))
 BROWN, FISHEYE = "opencv5", "kannala_brandt4"
 POINTS = 4000  # rays that are asked for at every distance
@@ -145,6 +146,30 @@ def _random_rig(kind: str, rng: np.random.Generator) -> RandomRig:
         direction = _about(1, -np.radians(rng.uniform(25, 75)) * rng.choice([-1, 1])) @ direction
     centre = direction / np.linalg.norm(direction) * rng.uniform(0.03, 0.5)
     return RandomRig(kind, (first, second), rotation, -rotation @ centre)
+
+
+def rigs_of_any_orientation(count: int, seed: int) -> list[RandomRig]:
+    """Return rigs with a common field whose cameras have any roll, any baseline and axes up to 40° apart."""
+    rng = np.random.default_rng(seed)
+    rigs = []
+    while len(rigs) < count:
+        kind = ORIENTATIONS[len(rigs) % len(ORIENTATIONS)]
+        first = random_lens(rng)
+        second = _sibling(first, rng) if rng.random() < 0.7 else random_lens(rng)
+        rolls = rng.uniform(-np.pi, np.pi, 2)
+        if kind == "quarter turns":
+            rolls = np.round(rolls / (np.pi / 2)) * np.pi / 2 + rng.normal(0, 0.03, 2)
+        half = np.radians(rng.uniform(0, 40 if kind == "any baseline" else 8)) / 2
+        azimuth = rng.uniform(0, 2 * np.pi)
+        lean = cv2.Rodrigues(half * np.array([np.cos(azimuth), np.sin(azimuth), 0]))[0]
+        direction = rng.normal(size=3) * ([1, 1, 1] if kind == "any baseline" else [1, 1, 0.15])
+        turns = _about(2, rolls[0]) @ lean.T, _about(2, rolls[1]) @ lean  # of the cameras from the mean view
+        rotation = turns[1] @ turns[0].T
+        centre = turns[0] @ direction / np.linalg.norm(direction) * rng.uniform(0.03, 0.5)
+        rig = RandomRig(kind, (first, second), rotation, -rotation @ centre)
+        if has_common_field(rig, rng):
+            rigs.append(rig)
+    return rigs
 
 
 def _about(axis: int, angle: float) -> Array:
@@ -310,3 +335,11 @@ def _orientation(lens: Lens, image: Image) -> tuple[float, float]:
     upright = across[:, 0] / np.linalg.norm(across, axis=1) + down[:, 1] / np.linalg.norm(down, axis=1)
     determinant = across[:, 0] * down[:, 1] - across[:, 1] * down[:, 0]
     return float((upright < 0).mean()), float((determinant < 0).mean())
+
+
+def median_turn(lens: Lens, image: Image) -> float:
+    """Return by what angle (degrees, median) what a lens sees is turned in its rectified image."""
+    here, seen = _source_pixels(lens, image)
+    beside, also = _source_pixels(lens, image, offset=np.array([0.5, 0]))
+    across = (beside - here)[seen & also]
+    return float(np.degrees(np.median(np.abs(np.arctan2(across[:, 1], across[:, 0]))))) if len(across) else 180.0

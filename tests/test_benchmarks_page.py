@@ -78,6 +78,6 @@ def differing(shown):
 
 def test_the_readme_has_the_figures_of_the_results():
     text = (PROJECT / "README.md").read_text(encoding="utf-8")
-    assert differing(rows(text.replace("2.343", "2.443"))) == ["mrcal"]
+    assert differing(rows(text.replace("2.283", "2.383"))) == ["mrcal"]
     assert differing(rows(text)) == []
     assert {"camcal", "OpenCV", "mrcal", "lensboy"} <= set(rows(text))

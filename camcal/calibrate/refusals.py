@@ -114,7 +114,8 @@ def misfit(problem: BoardProblem, state: State, residuals: Array, most: float = 
     present = problem.observations.present
     posed = replace(problem, free=np.zeros(0, np.intp)).derivatives(state)  # those of the lens are not asked for
     axes = problem.board.spacing * posed.by_board(state.rotations)[..., :2]
-    areas = np.where(present, np.abs(np.linalg.det(axes)), np.nan)
+    areas = np.abs(axes[..., 0, 0] * axes[..., 1, 1] - axes[..., 0, 1] * axes[..., 1, 0])
+    areas = np.where(present, areas, np.nan)
     distances = np.where(np.isfinite(residuals).all(axis=0), np.hypot(*residuals), np.inf)
     found = Misfit(distances, np.sqrt(np.nanmedian(areas, axis=1)), present)
     if not found.fits(most):

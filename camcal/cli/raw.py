@@ -40,9 +40,15 @@ def demosaic(options: DemosaicOptions, call: ImageCall) -> None:
     has no lateral chromatic aberration; half triples the corner error.
     """
     if options.make_bad_pixel_map:
-        _make_map(options, call)
+        from camcal.tasks.raw.demosaic import make_bad_pixel_map
+
+        found = make_bad_pixel_map(options, call.progress)
+        call.give(lambda: records.document(found), lambda: _show_map(found))
     elif options.preview_patterns:
-        _preview(options, call)
+        from camcal.tasks.raw.demosaic import preview_patterns
+
+        previews = preview_patterns(options)
+        call.give(lambda: {"previews": previews}, lambda: _show_previews(previews))
     else:
         _develop(options, call)
 
@@ -58,20 +64,6 @@ def _develop(options: DemosaicOptions, call: ImageCall) -> None:
     failed = [outcome for outcome in outcomes if outcome.error]
     if failed:
         raise ItemsFailed.of(len(failed), len(outcomes), "frames")
-
-
-def _make_map(options: DemosaicOptions, call: ImageCall) -> None:
-    from camcal.tasks.raw.demosaic import make_bad_pixel_map
-
-    found = make_bad_pixel_map(options, call.progress)
-    call.give(lambda: records.document(found), lambda: _show_map(found))
-
-
-def _preview(options: DemosaicOptions, call: ImageCall) -> None:
-    from camcal.tasks.raw.demosaic import preview_patterns
-
-    previews = preview_patterns(options)
-    call.give(lambda: {"previews": previews}, lambda: _show_previews(previews))
 
 
 def _show_map(found: "BadPixelMap") -> None:

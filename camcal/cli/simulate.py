@@ -61,15 +61,11 @@ def simulate(options: SimulateOptions, call: Call) -> None:
     if options.stereo:
         _simulate_pairs(options, call)
     else:
-        _simulate_photographs(options, call)
+        from camcal.tasks.simulation.simulate import document
+        from camcal.tasks.simulation.simulate import simulate as run
 
-
-def _simulate_photographs(options: SimulateOptions, call: Call) -> None:
-    from camcal.tasks.simulation.simulate import document
-    from camcal.tasks.simulation.simulate import simulate as run
-
-    report = run(options, call.progress)
-    call.give(lambda: document(report, options), lambda: _show_photographs(report, options, call.verbose))
+        report = run(options, call.progress)
+        call.give(lambda: document(report, options), lambda: _show_photographs(report, options, call.verbose))
 
 
 def _simulate_pairs(options: SimulateOptions, call: Call) -> None:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from camcal import records
 from camcal.cli import show
-from camcal.cli.call import Call, ImageCall
+from camcal.cli.call import ImageCall
 from camcal.messages import counted
 from camcal.report.table import Column
 from camcal.tasks.stereo.options import DisparityOptions, EvalOptions, StereoCheckOptions, ViewOptions
@@ -179,19 +179,15 @@ def cloud(options: CloudOptions, call: ImageCall) -> None:
     from camcal.tasks.stereo.clouds import stereo_cloud
 
     if options.disparity.is_dir():
-        _make_clouds(options, call)
+        from camcal.progress import require_all
+        from camcal.tasks.stereo.clouds import cloud_folder, folder_document
+
+        outcomes = cloud_folder(options, call.progress)
+        call.give(lambda: folder_document(outcomes), lambda: _show_clouds(outcomes, call.verbose))
+        require_all(outcomes, "maps")
         return
     report = stereo_cloud(options, call.progress)
     call.give(lambda: records.document(report), lambda: _show_cloud(report))
-
-
-def _make_clouds(options: CloudOptions, call: Call) -> None:
-    from camcal.progress import require_all
-    from camcal.tasks.stereo.clouds import cloud_folder, folder_document
-
-    outcomes = cloud_folder(options, call.progress)
-    call.give(lambda: folder_document(outcomes), lambda: _show_clouds(outcomes, call.verbose))
-    require_all(outcomes, "maps")
 
 
 def _show_clouds(outcomes: "Sequence[Outcome[Path, CloudReport]]", verbose: bool) -> None:

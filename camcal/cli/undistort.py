@@ -20,7 +20,11 @@ def undistort(options: UndistortOptions, call: ImageCall) -> None:
     folder describes the undistorted images.
     """
     if options.points is not None:
-        _undistort_points(options, call)
+        from camcal.tasks.calibration.undistort import points_document
+        from camcal.tasks.calibration.undistort import undistort_points as run
+
+        report = run(options, call.progress)
+        call.give(lambda: points_document(report), lambda: _show_points(report))
     elif options.maps:
         _undistort_maps(options, call)
     else:
@@ -37,14 +41,6 @@ def _undistort_images(options: UndistortOptions, call: ImageCall) -> None:
     show.failed(report.failed)
     if report.failed:
         raise ItemsFailed.of(len(report.failed), len(report.outcomes), "images")
-
-
-def _undistort_points(options: UndistortOptions, call: ImageCall) -> None:
-    from camcal.tasks.calibration.undistort import points_document
-    from camcal.tasks.calibration.undistort import undistort_points as run
-
-    report = run(options, call.progress)
-    call.give(lambda: points_document(report), lambda: _show_points(report))
 
 
 def _undistort_maps(options: UndistortOptions, call: ImageCall) -> None:

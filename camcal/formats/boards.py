@@ -320,17 +320,14 @@ def from_block(data: Data) -> Board:
     else:
         fields["square"] = _length(data, keys.scale)
     if keys.part:
-        fields[keys.part] = _part(data, keys.part, fields["square"])
+        scale = fields["square"]
+        ratio = data.get(f"{keys.part}_ratio")
+        fields[keys.part] = _length(data, keys.part) if ratio is None else float(ratio) * (scale or 1.0)
     return Board(data["type"], columns - border, rows - border, **fields)
 
 
 def _length(data: Data, name: str) -> float | None:
     return next((float(data[key]) * METRES[key.removeprefix(f"{name}_")] for key in lengths(name) if key in data), None)
-
-
-def _part(data: Data, name: str, scale: float | None) -> float | None:
-    ratio = data.get(f"{name}_ratio")
-    return _length(data, name) if ratio is None else float(ratio) * (scale or 1.0)
 
 
 def block(board: Board) -> dict[str, Any]:

@@ -76,7 +76,11 @@ def read(path: Path, image_size: Size | Mapping[str, Size]) -> PointViews:
     sizes = image_size if isinstance(image_size, Mapping) else {_only_camera(table): image_size}
     cameras = _cameras(table, sizes)
     points, pixels = (np.column_stack([table.numbers(name) for name in part]) for part in (COLUMNS[:3], COLUMNS[3:]))
-    _refuse_immense(table, points)
+    farthest = np.abs(points).max(axis=1)
+    table.refuse(
+        farthest > FARTHEST,
+        lambda row: f"a coordinate of {farthest[row]:g} m is implausible: check that X, Y, Z are in metres",
+    )
     _refuse_outside(table, pixels, np.array([sizes[name] for name in cameras]))
     covariance = _covariance(table)
     ids = table.integers("id", 0, MAX_ID) if "id" in table.columns else None
@@ -194,14 +198,6 @@ def _refuse_beyond(table: Table, values: Array, named: str) -> None:
     sizes = np.abs(values)
     beyond = (sizes > 0) & ((sizes > BEYOND) | (sizes < 1 / BEYOND))
     table.refuse(beyond, lambda row: f"{named.format(values[row])} is implausible")
-
-
-def _refuse_immense(table: Table, points: Array) -> None:
-    farthest = np.abs(points).max(axis=1)
-    table.refuse(
-        farthest > FARTHEST,
-        lambda row: f"a coordinate of {farthest[row]:g} m is implausible: check that X, Y, Z are in metres",
-    )
 
 
 def _refuse_outside(table: Table, pixels: Array, sizes: Array) -> None:

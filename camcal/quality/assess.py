@@ -150,12 +150,14 @@ def _fold(calibration: Calibration, circle: ImageCircle | None, others: str) -> 
         return
     centre = [calibration.camera.value("cx"), calibration.camera.value("cy")]
     outermost = float(np.linalg.norm(calibration.pixels - centre, axis=1).max())
-    end = "image corner" if circle is None else "end of the image circle"
+    end, edges = (
+        ("image corner", "in the image corners") if circle is None else ("end of the image circle", "at its edge")
+    )
     where = f"beyond {fold.radius_px:.0f} px from the centre; the {end} is at {fold.corner_px:.0f} px"
     # a spline ends near its corners and does not bend before that
     spline = isinstance(calibration.camera.model, SplinedStereographic)
     if fold.radius_px < outermost * (1.0 if spline else _limit("not_invertible")):
-        text = f"distortion is not invertible {where}: {others or 'add views with the board in the image corners'}"
+        text = f"distortion is not invertible {where}: {others or f'add views with the board {edges}'}"
         yield message("not_invertible", text, fold.radius_px / outermost)
     else:
         text = f"distortion is not invertible {where}: pixels there are masked; add views with the board there"

@@ -86,7 +86,8 @@ def other_models(used: str, candidates: Sequence[CandidateModel]) -> str:
     if passing is not None:
         return f"use --model {passing}, which passes all checks in a brief calibration"
     names = ", ".join(own.name for own in candidates if own.name != used and own.scores is not None)
-    return f"none of {names} passes all checks either: add views with the board all over the image" if names else ""
+    remedy = "add views with the board all over the image"
+    return f"none of {names} passes all checks in a brief calibration either: {remedy}" if names else ""
 
 
 def beats(one: CandidateModel, other: CandidateModel, margins: Sequence[tuple[float, float]]) -> bool:

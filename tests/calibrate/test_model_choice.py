@@ -627,7 +627,7 @@ def test_a_refused_lens_model_is_not_called_the_cause_because_its_own_brief_cali
     own, other = CandidateModel("opencv5", np.ones(2), 20), CandidateModel("opencv8", np.ones(2), 20, failures=("any",))
     refused = NotConverged("calibration not converged")
     text = model_selection._with_remedy(refused, "opencv5", [own, other]).message
-    assert text.startswith("calibration not converged; none of opencv8 passes all checks either")
+    assert text.startswith("calibration not converged; none of opencv8 passes all checks in a brief calibration either")
     text = model_selection._with_remedy(refused, "opencv5", [own, replace(other, failures=())]).message
     assert text.startswith("the lens model opencv5 does not fit these views: use --model opencv8, which passes")
 

@@ -696,6 +696,8 @@ def test_what_a_lens_does_outside_of_its_image_circle_does_not_matter(good):
     near = by_code(folding(reaching(good, 300), 500), circle)
     assert "the end of the image circle is at 650 px" in near["partly_invertible"].text
     assert "no corners beyond 46 % of the image circle" in near["extrapolated"].text
+    inside = by_code(folding(reaching(good, 600), 500), circle)["not_invertible"]
+    assert inside.text.endswith("the end of the image circle is at 650 px: add views with the board at its edge")
 
 
 def test_corners_that_reach_little_are_said_to_leave_out_what_is_outside_not_to_cover_little(good):
@@ -727,7 +729,10 @@ def test_a_lens_model_is_proposed_if_it_was_tried_and_passes(good):
     failed = CandidateModel("kannala_brandt5t", reason="no start was found")
     assert text(used, *passing).endswith("; use --model opencv8, which passes all checks in a brief calibration")
     assert "use --model opencv8," in text(refused, used, passing[0], failed)
-    none = "; none of kannala_brandt4 passes all checks either: add views with the board all over the image"
+    none = (
+        "; none of kannala_brandt4 passes all checks in a brief calibration either: "
+        "add views with the board all over the image"
+    )
     assert text(used, refused, failed).endswith(none)
 
 

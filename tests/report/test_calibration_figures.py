@@ -20,7 +20,7 @@ from camcal.quality.projection_uncertainty import projection_uncertainty
 from camcal.report.figures import image_plane
 from camcal.report.figures.board import poses
 from camcal.report.figures.calibration import calibration_plots, correlation_matrix, residuals_by_view, short_name
-from camcal.report.figures.figure import DARK, LIGHT, drawn, encoded
+from camcal.report.figures.figure import DARK, LIGHT, drawn, encoded, encoded_in
 from camcal.simulate.scene import Shape, observe, views
 from camcal.targets.board import Board
 
@@ -91,6 +91,13 @@ def test_a_figure_is_the_same_bytes_every_time(name, suffix):
     first, second = (encoded(plots()[name], suffix) for _ in range(2))
     assert first == second
     assert encoded(plots()[name], suffix, DARK) != first
+
+
+@pytest.mark.parametrize("titled", [False, True])
+@pytest.mark.parametrize("name", ["projection_uncertainty", "board_shape", "correlations"])
+def test_a_figure_in_both_themes_is_the_same_as_in_each(name, titled):
+    both = encoded_in(plots()[name], ".png", (LIGHT, DARK), titled=titled)
+    assert both == [encoded(plots()[name], ".png", theme, titled=titled) for theme in (LIGHT, DARK)]
 
 
 def test_a_figure_carries_its_caption():

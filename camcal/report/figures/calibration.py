@@ -18,7 +18,6 @@ from camcal.report.figures import image_plane
 from camcal.report.figures.board import board_height, board_shape, poses
 from camcal.report.figures.figure import DIVERGING_MAP, WIDTH, Plot, Theme, logarithmic_labels
 from camcal.report.figures.image_plane import colour_bar
-from camcal.report.figures.over_time import uncertainty_over_distance
 
 _BINS = 12  # over radius, of as many corners each
 _LOW, _HIGH = 0.1, 0.9
@@ -28,6 +27,7 @@ NAMED = 24  # views with a bar each
 _NAME = 22  # characters of a file name
 _MAGNITUDE = 8.0  # of the largest error over the smallest: a logarithmic axis
 _MOST_NAMES = 24  # parameters with a name at the matrix
+_ROOM = 3.0  # times the largest uncertainty: for the legend
 
 
 def calibration_plots(
@@ -66,10 +66,39 @@ def calibration_plots(
 
 
 def _over_distance(calibration: Calibration, uncertainty: ProjectionUncertainty) -> Plot | None:
-    found, figures = range_uncertainty(calibration), uncertainty.figures()
-    if found is None or "inside_rms_px" not in figures:
+    """Return the projection uncertainty over the distance, None where that of single cameras is not known."""
+    found, at_infinity_px = range_uncertainty(calibration), uncertainty.figures().get("inside_rms_px")
+    if found is None or at_infinity_px is None:
         return None
-    return uncertainty_over_distance(found, figures["inside_rms_px"], calibration.board.unit)
+    unit = calibration.board.unit
+    distance, least = found.best
+    boards = f"{found.near:.2g} to {found.far:.2g} {unit}"
+    words = f"least {least:.2g} px at {distance:.2g} {unit}, {at_infinity_px:.2g} px at infinity"
+
+    def draw(figure: FigureBase, theme: Theme) -> None:
+        axes = figure.subplots()
+        axes.axvspan(found.near, found.far, color=theme.faint, alpha=0.35, lw=0, label="boards")
+        axes.loglog(found.distances, found.std, color=theme.series[0], lw=1.8, label="1 σ, RMS")
+        axes.axhline(at_infinity_px, color=theme.ink, lw=1, ls="--", label="at infinity")
+        axes.set_xlim(found.distances[0], found.distances[-1])
+        axes.set_ylim(least / 2, _ROOM * float(found.std.max()))
+        for axis in (axes.xaxis, axes.yaxis):
+            logarithmic_labels(axis)
+        axes.set_xlabel(f"distance, {unit}")
+        axes.set_ylabel("projection uncertainty, px")
+        axes.grid(visible=True)
+        axes.legend(loc="upper right", ncols=3, columnspacing=0.8)
+
+    return Plot(
+        "uncertainty_over_distance",
+        "Projection uncertainty over distance",
+        "Standard deviation (1 σ, RMS where corners are) of the projection of points over their distance from the "
+        f"camera: {words}. The boards were at {boards} (gray); nearer points depend on where the camera's centre is, "
+        "farther ones on the focal length.",
+        f"Curve of the projection uncertainty over distance: {words}; boards at {boards}.",
+        draw,
+        (WIDTH, 3.2),
+    )
 
 
 def residuals_over_radius(calibration: Calibration) -> Plot:

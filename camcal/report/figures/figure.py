@@ -8,6 +8,7 @@ viridis. Source: Okabe & Ito, Color universal design, 2008; Nuñez, Anderton & R
 import gc
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from importlib import import_module
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -16,8 +17,6 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.backends.backend_pdf import FigureCanvasPdf
-from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure, FigureBase
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
@@ -25,8 +24,9 @@ from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 from camcal.errors import InvalidInput
 from camcal.files import stem_of
 
-_CANVASES: dict[str, Any] = {".png": FigureCanvasAgg, ".svg": FigureCanvasSVG, ".pdf": FigureCanvasPdf}
-SUFFIXES = tuple(_CANVASES)
+# with the module that writes them, imported on use: that of PDF takes as long as some figures
+_BACKENDS = {".png": "backend_agg", ".svg": "backend_svg", ".pdf": "backend_pdf"}
+SUFFIXES = tuple(_BACKENDS)
 WIDTH = 5.0  # inches
 COLOUR_MAP = "cividis"
 DIVERGING_MAP = "PuOr"
@@ -95,12 +95,21 @@ class Plot:
 
 def encoded(plot: Plot, suffix: str, theme: Theme = LIGHT, *, titled: bool = True) -> bytes:
     """Return the figure as a file of the type of `suffix`, the same bytes every time; titled: with its title."""
-    suffix = suffix.lower()
-    with mpl.rc_context(_style(plot, theme)):
-        figure, stream, metadata = _drawn(plot, theme, titled=titled), BytesIO(), _metadata(plot, suffix)
-        canvas: Any = _CANVASES[suffix](figure)
-        getattr(canvas, f"print_{suffix[1:]}")(stream, metadata=metadata)  # not savefig, which draws everything twice
-    return stream.getvalue()
+    return encoded_in(plot, suffix, (theme,), titled=titled)[0]
+
+
+def encoded_in(plot: Plot, suffix: str, themes: Sequence[Theme], *, titled: bool = True) -> list[bytes]:
+    """Return the figure in several themes, as `encoded`; without titles it is laid out once, as only colours differ."""
+    suffix, result, first = suffix.lower(), [], None
+    for theme in themes:
+        with mpl.rc_context(_style(plot, theme)):
+            figure, stream = _drawn(plot, theme, titled=titled, like=first), BytesIO()
+            canvas: Any = import_module(f"matplotlib.backends.{_BACKENDS[suffix]}").FigureCanvas(figure)
+            # not savefig, which draws everything twice
+            getattr(canvas, f"print_{suffix[1:]}")(stream, metadata=_metadata(plot, suffix))
+        result.append(stream.getvalue())
+        first = first or figure
+    return result
 
 
 def drawn(plot: Plot, theme: Theme = LIGHT, *, titled: bool = True) -> Figure:
@@ -111,7 +120,10 @@ def drawn(plot: Plot, theme: Theme = LIGHT, *, titled: bool = True) -> Figure:
         return figure
 
 
-def _drawn(plot: Plot, theme: Theme, *, titled: bool) -> Figure:
+def _drawn(plot: Plot, theme: Theme, *, titled: bool, like: Figure | None = None) -> Figure:
+    """Return the figure laid out; like: the same in another theme, whose places of axes are taken over, which is all
+    of the layout where there is no title.
+    """
     free_drawn()
     figure = Figure(figsize=plot.size, dpi=_DPI, layout="constrained")
     FigureCanvasAgg(figure)
@@ -119,11 +131,15 @@ def _drawn(plot: Plot, theme: Theme, *, titled: bool) -> Figure:
         title = plot.title if len(plot.title) <= _LONGEST else f"{plot.title[:_LONGEST]}…"
         figure.suptitle(title, fontsize=_FONT + 1, fontweight="bold")
     plot.draw(figure, theme)
-    engine = figure.get_layout_engine()
-    assert engine is not None
-    # axes of equal lengths along both settle in a second pass
-    for _ in range(1 + any(axes.get_aspect() != "auto" for axes in figure.axes)):
-        engine.execute(figure)
+    if like is None or titled or like.subfigs:
+        engine = figure.get_layout_engine()
+        assert engine is not None
+        # axes of equal lengths along both settle in a second pass
+        for _ in range(1 + any(axes.get_aspect() != "auto" for axes in figure.axes)):
+            engine.execute(figure)
+    else:
+        for axes, other in zip(figure.axes, like.axes, strict=True):
+            axes.set_position(other.get_position(original=True))
     figure.set_layout_engine("none")
     return figure
 

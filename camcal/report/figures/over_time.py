@@ -1,4 +1,4 @@
-"""Figures over the time: series and tracks; over the distance: the blur of a lens, the projection uncertainty."""
+"""Figures over the time, of series and tracks, and over the distance, of the blur of a lens."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -14,7 +14,6 @@ from camcal.estimate.tracking.track import MEASURED, PREDICTED, REJECTED, Track
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
 from camcal.optics.lens import blur_disc
-from camcal.quality.range_uncertainty import RangeUncertainty
 from camcal.report.figures.figure import WIDTH, Plot, Theme, beside, logarithmic_labels
 
 _AXES = "xyz"
@@ -22,7 +21,6 @@ _HEADROOM = 30  # times the largest NIS: room for the legend
 _LEAST_NIS = 0.05  # that is shown: one in a million is less
 _ROW = 1.3  # inches
 
-_ROOM = 3.0  # times the largest uncertainty: for the legend
 _DECADE = 10  # a longer range of distances is drawn with a logarithmic axis
 
 
@@ -195,38 +193,6 @@ def _draw_segments(axes: Axes, track: Track, theme: Theme) -> None:
     for segment in range(track.segments.max() + 1):
         inside = track.stamps[track.segments == segment]
         axes.axvspan(inside[0], inside[-1], color=theme.faint, alpha=0.25, lw=0)
-
-
-def uncertainty_over_distance(found: RangeUncertainty, infinity_px: float, unit: str) -> Plot:
-    """Return the projection uncertainty over the distance; infinity_px: of directions. unit: of the distances."""
-    distance, least = found.best
-    boards = f"{found.near:.2g} to {found.far:.2g} {unit}"
-    words = f"least {least:.2g} px at {distance:.2g} {unit}, {infinity_px:.2g} px at infinity"
-
-    def draw(figure: FigureBase, theme: Theme) -> None:
-        axes = figure.subplots()
-        axes.axvspan(found.near, found.far, color=theme.faint, alpha=0.35, lw=0, label="boards")
-        axes.loglog(found.distances, found.std, color=theme.series[0], lw=1.8, label="1 σ, RMS")
-        axes.axhline(infinity_px, color=theme.ink, lw=1, ls="--", label="at infinity")
-        axes.set_xlim(found.distances[0], found.distances[-1])
-        axes.set_ylim(least / 2, _ROOM * float(found.std.max()))
-        for axis in (axes.xaxis, axes.yaxis):
-            logarithmic_labels(axis)
-        axes.set_xlabel(f"distance, {unit}")
-        axes.set_ylabel("projection uncertainty, px")
-        axes.grid(visible=True)
-        axes.legend(loc="upper right", ncols=3, columnspacing=0.8)
-
-    return Plot(
-        "uncertainty_over_distance",
-        "Projection uncertainty over distance",
-        "Standard deviation (1 σ, RMS where corners are) of the projection of points over their distance from the "
-        f"camera: {words}. The boards were at {boards} (gray); nearer points depend on where the camera's centre is, "
-        "farther ones on the focal length.",
-        f"Curve of the projection uncertainty over distance: {words}; boards at {boards}.",
-        draw,
-        (WIDTH, 3.2),
-    )
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.calibrate.intrinsics import Calibration, View
 from camcal.messages import counted
-from camcal.report.figures.figure import DARK, LIGHT, Plot, Theme, encoded
+from camcal.report.figures.figure import DARK, LIGHT, Plot, Theme, encoded_in
 from camcal.report.page.record import Picture, Thumbnail
 from camcal.targets.detection import BoardDetection
 
@@ -38,9 +38,8 @@ def pictures(plots: Sequence[Plot], prefix: str = "") -> dict[str, Picture]:
 
 def _picture(plot: Plot, prefix: str) -> Picture:
     suffix = ".png" if plot.dense else ".svg"
-    light = encoded(plot, suffix, LIGHT, titled=False)
-    # what is drawn as lines differs in its colours only, and need not be laid out twice
-    dark = encoded(plot, suffix, DARK, titled=False) if plot.dense else _recolour(light)
+    light, *others = encoded_in(plot, suffix, (LIGHT, DARK) if plot.dense else (LIGHT,), titled=False)
+    dark = others[0] if others else _recolour(light)  # of what is drawn as lines, the colours are in the text
     width, height = (round(side * _PX_PER_INCH) for side in plot.size)
     return Picture(
         f"{prefix}figure-{plot.name}",

@@ -16,11 +16,11 @@ from camcal.images.remap import Maps
 from camcal.opencv import resized
 from camcal.stereo.disparity import LIMITS
 from camcal.stereo.pair.coarse import (
+    CONTRAST,
+    FLAT,
     Matches,
-    as_counts,
     coarse_map,
     contrast_of,
-    locally_normalised,
     match_features,
     require_pair,
 )
@@ -38,6 +38,10 @@ _FOLLOWED = 2.0  # px; of rows that are off by more too many corners are lost
 _SHARP = 0.6  # px; corners that are found scatter by 0.1 to 0.3 px, those that are lost by more than 1
 _SEED = 1
 _GUESSES = 500  # of three matches; if only a third of all is right, eighteen guesses are
+_FEW_GUESSES, _MOSTLY = (
+    40,
+    0.7,
+)  # guesses that are enough where so many of the matches agree: one in 1e7 times none is right
 _NEAR = 1.0  # px features are searched for in, about a guess; matches that are right scatter by 0.1 to 0.4 px
 _ROUNDS, _SETTLED = 20, 1e-3  # rounds, and the change of a weight that ends them
 _BREAK = 4.685  # deviations beyond which Tukey's biweight takes a match for wrong; the usual choice for normal errors
@@ -49,11 +53,11 @@ _LEAST_SPREAD = 1.0  # px by which disparities must vary to tell how rows depend
 _TRACKED = 5e5  # pixels of the image they are followed in: of a larger one it is reduced to that
 _MOST = 400
 _QUALITY = 0.01  # of the best corner's
-_APART = 5.0  # px
-_BLOCK = 5
+_APART = 2.5  # px at half the size: what is a corner there is one to the windows that follow it
+_BLOCK = 3
 _WINDOW = 15  # px; single corners are followed to 0.1 px
 _EVENED = 31  # px; where it is less than texture is coarse, what remains is the rounding of counts
-_LEVELS = 1  # beyond the image itself: rows that are off by four pixels are found
+_LEVELS = 0  # beyond the image itself: guesses are good to a pixel or two, and rows beyond two compared otherwise
 _TRACKING_ROUNDS, _STEP = 20, 0.005  # px
 _ASTRAY = 2.0  # columns of the coarse map, and pixels, that the right place may be off from the guess
 
@@ -252,14 +256,17 @@ def _agreement(plane: Array, dy: Array, near: float) -> Array:
 
 def _most_agreed(plane: Array, dy: Array, near: float) -> Array:
     """Return the plane (3,) through three matches that the most others lie near."""
-    random = np.random.default_rng(_SEED)
-    triples = random.integers(len(dy), size=(_GUESSES, 3))
-    level = np.column_stack([dy, np.zeros_like(dy), np.zeros_like(dy)])[triples[:, 0]]
-    corners = plane[triples]
-    firm = np.abs(np.linalg.det(corners)) > 1e-3  # others hardly span the image
-    level[firm] = np.linalg.solve(corners[firm], dy[triples[firm]][..., None])[..., 0]
-    off = np.minimum(np.abs(level @ plane.T - dy), near)
-    return np.asarray(level[np.argmin(off.sum(axis=1))])
+    triples = np.random.default_rng(_SEED).integers(len(dy), size=(_GUESSES, 3))
+    for some in (triples[:_FEW_GUESSES], triples):
+        level = np.column_stack([dy, np.zeros_like(dy), np.zeros_like(dy)])[some[:, 0]]
+        corners = plane[some]
+        firm = np.abs(np.linalg.det(corners)) > 1e-3  # others hardly span the image
+        level[firm] = np.linalg.solve(corners[firm], dy[some[firm]][..., None])[..., 0]
+        off = np.minimum(np.abs(level @ plane.T - dy), near)
+        best = int(np.argmin(off.sum(axis=1)))
+        if np.mean(off[best] < near) > _MOSTLY:
+            break
+    return np.asarray(level[best])
 
 
 def _solve(design: Array, dy: Array, weights: Array) -> tuple[Array, Array]:
@@ -292,7 +299,7 @@ def _convergence(plane: Array, disparity: Array, dy: Array, weights: Array) -> M
 def track_corners(left: Array, right: Array, coarse: Array | None = None) -> Matches:
     """Return the corners of the left image, where the right image has them.
 
-    left, right: (H, W) uint8, rows aligned to four pixels. coarse: the disparities of `coarse_map`, if they are known.
+    left, right: (H, W) uint8, rows aligned to two pixels. coarse: the disparities of `coarse_map`, if they are known.
     Raises InvalidInput for images of different sizes. Source: Bouguet, Pyramidal Implementation of the Lucas Kanade
     Feature Tracker, 2000.
     """
@@ -317,11 +324,21 @@ def track_corners(left: Array, right: Array, coarse: Array | None = None) -> Mat
     )
 
 
+def _halved(gray: Array) -> Array:
+    """Return an image at half its size, of at least a pixel."""
+    height, width = gray.shape
+    return np.asarray(cv2.resize(gray, (max(width // 2, 1), max(height // 2, 1)), interpolation=cv2.INTER_AREA))
+
+
 def _corners(gray: Array, known: Array) -> Array:
     """Return the corners (N, 2) float32 of an image where its reduced mask is set, pixels."""
-    mask = cv2.resize(known.astype(np.uint8), gray.shape[::-1], interpolation=cv2.INTER_NEAREST)
-    corners = cv2.goodFeaturesToTrack(gray, _MOST, _QUALITY, _APART, mask=mask, blockSize=_BLOCK)
-    return np.zeros((0, 2), np.float32) if corners is None else np.asarray(corners, np.float32).reshape(-1, 2)
+    small = _halved(gray)
+    mask = cv2.resize(known.astype(np.uint8), small.shape[::-1], interpolation=cv2.INTER_NEAREST)
+    corners = cv2.goodFeaturesToTrack(small, _MOST, _QUALITY, _APART, mask=mask, blockSize=_BLOCK)
+    if corners is None:
+        return np.zeros((0, 2), np.float32)
+    ratio = np.array(gray.shape[::-1]) / small.shape[::-1]
+    return np.asarray((corners.reshape(-1, 2) + 0.5) * ratio - 0.5, np.float32)
 
 
 def _look_up(coarse: Array, pixels: Array, shape: tuple[int, ...]) -> Array:
@@ -331,13 +348,26 @@ def _look_up(coarse: Array, pixels: Array, shape: tuple[int, ...]) -> Array:
     return np.asarray(np.nan_to_num(coarse[rows, columns]))
 
 
+def _evened(gray: Array) -> Array:
+    """Return an image as `as_counts` of `locally_normalised` gives it, mean and contrast taken at half the size."""
+    small = _halved(gray).astype(np.float32)
+    window = (_EVENED // 2 | 1,) * 2
+    mean: Array = cv2.blur(small, window)
+    power = cv2.blur(small * small, window) - mean * mean
+    gain: Array = CONTRAST / cv2.sqrt(np.maximum(power, 0) + np.float32(FLAT**2))
+    size = gray.shape[::-1]
+    return np.asarray(
+        cv2.convertScaleAbs(np.maximum((gray - cv2.resize(mean, size)) * cv2.resize(gain, size) + 128, 0))
+    )
+
+
 def _follow(first: Array, second: Array, corners: Array, guesses: Array) -> tuple[Array, Array]:
     """Return where corners (N, 2) of the first image are in the second, pixels, and the mask (N,) of those found."""
     if not len(corners):
         return guesses, np.zeros(0, bool)
     found, status, _ = cv2.calcOpticalFlowPyrLK(
-        as_counts(locally_normalised(first, _EVENED)),
-        as_counts(locally_normalised(second, _EVENED)),
+        _evened(first),
+        _evened(second),
         corners,
         guesses.copy(),
         winSize=(_WINDOW, _WINDOW),

@@ -20,8 +20,8 @@ SEARCH_WIDTHS = (128, 256)  # px of width; the first look is for all disparities
 
 _WIDENED = 0.15  # of the span of the first look, on either side, for the second
 _WINDOW = 9  # px; larger than texture, smaller than what light does to a surface
-_FLAT = 2.0  # counts; contrast below the noise of a camera is not made into texture
-_CONTRAST = 40.0  # counts of the 8 bits that are matched for one standard deviation
+FLAT = 2.0  # counts; contrast below the noise of a camera is not made into texture
+CONTRAST = 40.0  # counts of the 8 bits that are matched for one standard deviation
 _STEP = 16  # fixed point of OpenCV's disparities, and what their number must be a multiple of
 _BLOCK = 3
 _SMALL_STEP, _LARGE_STEP = 8 * _BLOCK**2, 32 * _BLOCK**2  # penalties OpenCV's manual suggests
@@ -112,17 +112,17 @@ def worthwhile_range(disparities: Array) -> tuple[float, float]:
     return float(ordered[np.argmin(held[: middle + 1])]), float(ordered[middle + np.argmax(held[middle:])])
 
 
-def locally_normalised(gray: Array, side: int = _WINDOW) -> Array:
-    """Return an image with mean 0 and contrast 1 in every window of a side, so that exposure no longer matters."""
-    window = (side, side)
+def locally_normalised(gray: Array) -> Array:
+    """Return an image with mean 0 and contrast 1 in every window, so that exposure no longer matters."""
+    window = (_WINDOW, _WINDOW)
     values = gray.astype(np.float32)
     values -= cv2.blur(values, window)
-    return np.asarray(values / cv2.sqrt(cv2.blur(values * values, window) + np.float32(_FLAT**2)))
+    return np.asarray(values / cv2.sqrt(cv2.blur(values * values, window) + np.float32(FLAT**2)))
 
 
 def as_counts(image: Array) -> Array:
     """Return an evened image as uint8: 40 counts for one standard deviation."""
-    return np.asarray(cv2.convertScaleAbs(np.maximum(image + 128 / _CONTRAST, 0), alpha=_CONTRAST))
+    return np.asarray(cv2.convertScaleAbs(np.maximum(image + 128 / CONTRAST, 0), alpha=CONTRAST))
 
 
 def _reduced(gray: Array, width: int) -> Array:

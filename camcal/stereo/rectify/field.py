@@ -197,10 +197,13 @@ def _ends(off: Array, mask: Array) -> Interval:
 
 
 def _nearest(left_off: float, right_off: float) -> float:
-    """Return baseline by distance of the nearest points: at three baselines, or at 2/3 of where the axes meet."""
+    """Return baseline by distance of the nearest points: at three baselines, or at 2/3 of where the axes meet.
+
+    Distances are from the baseline, so that three baselines along an oblique axis are fewer.
+    """
     farthest = np.radians(80)
-    meeting = np.tan(np.clip(left_off, -farthest, farthest)) - np.tan(np.clip(right_off, -farthest, farthest))
-    return max(1 / 3, 1.5 * float(meeting))
+    left, right = np.clip((left_off, right_off), -farthest, farthest)
+    return max(float(1 / (3 * np.cos((left + right) / 2))), float(1.5 * (np.tan(left) - np.tan(right))))
 
 
 def _reached(left: Interval, right: Interval, near: float) -> tuple[Interval, Interval]:

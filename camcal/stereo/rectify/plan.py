@@ -32,7 +32,7 @@ _WIDEST = {PINHOLE: np.radians(52), CYLINDRICAL: np.radians(58)}  # from the mid
 _AXIAL, _OBLIQUE = np.radians(15), np.radians(65)  # of the mean view from the baseline
 _TURNED = 0.05  # of an image, whose content may be turned by more than 90°
 _ROTATED = 50.0  # degrees, from which people and programs that look at the images are surprised
-_NEAR = 2.0  # baseline by distance of the nearest points, from which some of them lie beyond the images
+_NEAR = 0.75  # baselines to where the axes meet, below which some of the points there lie beyond the images
 _CHECKED, _STEP = 24, 0.5  # places a side where that is checked, and pixels to the next ones
 _ALL_AROUND = np.radians(250)  # of φ, beyond which images are turned in a part
 _FAINT = (0.05, 0.1, 0.2, 0.4)
@@ -186,10 +186,19 @@ def _unusual(frame: _Frame, field: CommonField, turns: Sequence[Array]) -> Itera
         if angle > _ROTATED:
             text = f"rectified images of {name} are rotated by {angle:.0f}° relative to the camera's, as it is mounted"
             yield Message("rotated_images", text, {"rotation_deg": angle})
-    if field.near > _NEAR:
-        meeting = 1.5 / field.near
+    meeting = min(1.5 / field.near, _nearest_approach(frame))
+    if meeting < _NEAR:
         text = f"optical axes meet at {meeting:.2f} baselines: parts of the common field may be outside the images"
         yield Message("converging_cameras", text, {"baselines": meeting})
+
+
+def _nearest_approach(frame: _Frame) -> float:
+    """Return how far from the baseline, in baselines, optical axes pass each other; infinite where they do not."""
+    axes = np.column_stack([frame.left.rect_R_camera[:, 2], -frame.right.rect_R_camera[:, 2]])
+    lengths, *_ = np.linalg.lstsq(axes, np.eye(3)[frame.along], rcond=None)
+    if np.min(lengths) <= 0:
+        return np.inf
+    return float(np.min(lengths * np.linalg.norm(np.delete(axes, frame.along, axis=0), axis=0)))
 
 
 def _frame(

@@ -98,7 +98,9 @@ def detect_images(options: DetectOptions, progress: Progress = SILENT, *, locate
 
 
 def _detect(options: DetectOptions, progress: Progress, *, locate: bool) -> DetectReport:
-    asked = _board(options)
+    if options.board is None:
+        raise InvalidInput("--board is needed, such as --board chessboard:9x6:25mm")
+    asked = boards.load_board(options.board) if isinstance(options.board, str) else options.board
     require_findable(asked, partial=options.parts)
     require_colours(asked, options.reading)
     media = _media(options)
@@ -204,12 +206,6 @@ def _nothing(
     return (
         instead.error(views, asked, total) if instead else nothing_found(views, board, parts=options.parts, total=total)
     )
-
-
-def _board(options: DetectOptions) -> Board:
-    if options.board is None:
-        raise InvalidInput("--board is needed, such as --board chessboard:9x6:25mm")
-    return boards.load_board(options.board) if isinstance(options.board, str) else options.board
 
 
 def _media(options: DetectOptions) -> Media:

@@ -106,7 +106,10 @@ def undistort(options: UndistortOptions, progress: Progress = SILENT) -> Undisto
     if options.scale_intrinsics:
         source = _rescale(source, media)
     view = make_view(source.camera, options.view, source.circle)
-    _warn_of_shrinking(source.camera, view, progress)
+    share = view.value("fx") / view.image_size[0] * source.camera.image_size[0] / source.camera.value("fx")
+    if view.model.name == PINHOLE and share < _SHRUNK:
+        text = f"scale at the image centre {100 * share:.0f} %: use --projection cylinder or a smaller --fov"
+        progress.warn(Message("reduced_scale", text, {"scale": share}))
     warn_of(view_outside_region(source.verdict, source.camera, view), progress)
     maps = build_maps(source.camera, view, options.interpolation, circle=source.circle)
     lenses = source.channels if options.align_channels else {}
@@ -183,13 +186,6 @@ def _first_size(media: Media) -> tuple[int, int] | None:
         except CamcalError:
             continue  # it is reported when its turn comes
     return None
-
-
-def _warn_of_shrinking(camera: Camera, view: Camera, progress: Progress) -> None:
-    share = view.value("fx") / view.image_size[0] * camera.image_size[0] / camera.value("fx")
-    if view.model.name == PINHOLE and share < _SHRUNK:
-        text = f"scale at the image centre {100 * share:.0f} %: use --projection cylinder or a smaller --fov"
-        progress.warn(Message("reduced_scale", text, {"scale": share}))
 
 
 def document(report: UndistortReport) -> dict[str, Any]:

@@ -289,7 +289,7 @@ def _measure(
                 seen.files,
             )
             for row, view in zip(rows, found.views, strict=True):
-                again[row] = _renumber(seen.board, body, view)
+                again[row] = seen.board.numbered(body, view) if isinstance(seen.board, BoardSet) else view
             added, removed = added + found.recovered, removed + found.lost
         views[name] = again
     return seen.with_views(views), RefinementSummary(added, removed)
@@ -305,10 +305,6 @@ def _of_board(lens: Calibration, body: str, rows: Sequence[int]) -> Calibration:
 
 def _alone(board: Board, view: BoardDetection) -> BoardDetection:
     return board.alone(view) if isinstance(board, BoardSet) else view
-
-
-def _renumber(board: Board, body: str, view: BoardDetection) -> BoardDetection:
-    return board.numbered(body, view) if isinstance(board, BoardSet) else view
 
 
 def document(report: RigReport, settings: RigSettings) -> dict[str, Any]:

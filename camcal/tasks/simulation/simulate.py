@@ -93,7 +93,12 @@ def simulate(options: SimulateOptions, progress: Progress = SILENT) -> SimulateR
         raise InvalidInput("a board is needed, such as chessboard:9x6:25mm; or --stereo for pairs of a scene")
     board = boards.load_board(options.board)
     pattern_of(board)  # a board that cannot be drawn is refused before anything is written
-    _require_mild(options.shape.formula, board)
+    shape = options.shape.formula
+    if board.square is None and shape != Shape(stretch=shape.stretch):
+        raise InvalidInput("a bend in mm needs a board with a square size")
+    deflection, limit = shape.deflection(board), STRONGEST_BEND * max(board.extent)
+    if deflection > limit:
+        raise InvalidInput(f"the board is bent by {1e3 * deflection:.4g} mm; use at most {1e3 * limit:.4g} mm")
     if not 1 <= options.views <= MAX_VIEWS:
         raise InvalidInput(f"{options.views} views: use 1 to {MAX_VIEWS}")
     rig = _rig(options, progress)
@@ -102,7 +107,11 @@ def simulate(options: SimulateOptions, progress: Progress = SILENT) -> SimulateR
     require_own(folder, TRUTH)
     with owned(folder):
         claim([*(folder / name for name in (TRUTH, BOARD, POSES, CORNERS)), *_places(folder, scenes)])
-        _clear(folder, scenes)
+        kept = set(_places(folder, scenes))
+        for path in (folder / IMAGES).rglob("view[0-9][0-9][0-9][0-9].png"):
+            if path not in kept:
+                path.unlink()
+        clear_frames(folder)
         corners = _write_truth(folder, scenes, rig, options)
         images = _photograph_all(folder, scenes, options, progress)
         frames = _take_frames(folder, scenes[0].truth.camera, options, progress)
@@ -150,15 +159,6 @@ def _scenes_of_rig(file: CameraFile, options: SimulateOptions, board: Board) -> 
     return scenes
 
 
-def _require_mild(shape: Shape, board: Board) -> None:
-    """Raise InvalidInput for a bend that is no length, or so strong that the board would hide parts of itself."""
-    if board.square is None and shape != Shape(stretch=shape.stretch):
-        raise InvalidInput("a bend in mm needs a board with a square size")
-    deflection, limit = shape.deflection(board), STRONGEST_BEND * max(board.extent)
-    if deflection > limit:
-        raise InvalidInput(f"the board is bent by {1e3 * deflection:.4g} mm; use at most {1e3 * limit:.4g} mm")
-
-
 def _camera(options: SimulateOptions, progress: Progress) -> Camera:
     if options.camera is None:
         if options.name is not None:
@@ -178,15 +178,6 @@ def _require_no_lens(options: SimulateOptions) -> None:
     """Raise InvalidInput for a lens that is described beside a camera file."""
     if any(given is not None for given in (options.model, options.size, options.fov, options.distortion)):
         raise InvalidInput("a camera file excludes --model, --size, --fov and --distortion")
-
-
-def _clear(folder: Path, scenes: Sequence[Scene]) -> None:
-    """Remove the images of an earlier run that this one does not replace."""
-    kept = set(_places(folder, scenes))
-    for path in (folder / IMAGES).rglob("view[0-9][0-9][0-9][0-9].png"):
-        if path not in kept:
-            path.unlink()
-    clear_frames(folder)
 
 
 def _places(folder: Path, scenes: Sequence[Scene]) -> list[Path]:

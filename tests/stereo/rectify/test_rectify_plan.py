@@ -234,6 +234,21 @@ def test_axes_that_meet_next_to_the_cameras_are_said():
     assert warning.values["baselines"] == pytest.approx(1 / np.tan(np.radians(75)), rel=1e-6)
 
 
+def test_axes_that_pass_each_other_next_to_the_cameras_are_said():
+    plan = plan_rectification({"left": WIDE, "right": WIDE}, placed((0.2, 0.0, 0.1), (40, -50, 0)))
+    (warning,) = (each for each in plan.warnings if each.code == "converging_cameras")
+    assert warning.values["baselines"] < 0.75
+
+
+def test_oblique_pairs_hold_what_is_three_baselines_along_their_axes():
+    tele, wide = camera(focal=2500.0), camera("kannala_brandt4", (800, 600), 300.0, (0.0, 0.0, 0.0, 0.0))
+    angle = np.radians(50)
+    pose = placed((0.2 * np.cos(angle), 0.0, -0.2 * np.sin(angle)))
+    plan = plan_rectification({"left": tele, "right": wide}, pose)
+    pixels = rectified_pixels(plan, ("left", "right"), common_points(tele, wide, pose, 0.6), pose)
+    assert np.logical_and(*(inside(plan, each) for each in pixels)).mean() > 0.9
+
+
 def test_of_150_rigs_in_any_orientation_each_is_upright_and_whole_or_refused_or_said():
     rng = np.random.default_rng(15)
     said = {"rotated_images", "field_not_kept", "converging_cameras"}
