@@ -7,7 +7,7 @@ that stand there. Every second scene is fitted, the others are for the shares. L
 errors within the sigma that camcal reports, without the median error of a pair; in brackets, with the rounding of the
 truth added to sigma.
 
-    python benchmarks/disparity_uncertainty.py [FOLDER …] [--reported] [--scenes 44] [--slanted 500:524] [--weight 1.5]
+    python benchmarks/disparity_uncertainty.py [FOLDER …] [--reported] [--scenes 44] [--slanted 500:524] [--boxes 11:15]
 """
 
 import argparse
@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from box_scenes import box_scenes
 from slanted_scenes import slanted_scenes
 from stereo_pairs import Pair, pairs_in
 
@@ -54,12 +55,14 @@ def main() -> None:
     parser.add_argument("folders", type=Path, nargs="*")
     parser.add_argument("--scenes", type=int, default=44)
     parser.add_argument("--slanted", default="", metavar="FIRST:LAST", help="seeds of generated slanted scenes")
+    parser.add_argument("--boxes", default="", metavar="FIRST:LAST", help="seeds of plates, for the last of it")
     parser.add_argument("--weight", type=float, default=1.5, help="of a real pair beside a rendered one")
     parser.add_argument("--reported", action="store_true", help="only the last of it")
     arguments = parser.parse_args()
     if not arguments.reported:
         print_fit(arguments)
-    print_reported([pair for folder in arguments.folders for pair in pairs_in(folder, 0.0)])
+    boxes = range(*map(int, arguments.boxes.split(":"))) if arguments.boxes else ()
+    print_reported([*(pair for folder in arguments.folders for pair in pairs_in(folder, 0.0)), *box_scenes(boxes)])
 
 
 def print_fit(arguments: argparse.Namespace) -> None:

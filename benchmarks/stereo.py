@@ -15,6 +15,8 @@ the processor, and the memory taken beyond the images.
 
     python benchmarks/stereo.py FOLDER [FOLDER …] [--repeats 3] [--each] [--only camcal] [--shift 0.5] [--range auto]
     python benchmarks/stereo.py --slanted 200:222 --clean
+    python benchmarks/stereo.py [FOLDER …] --boxes 11:19 --noise
+    python benchmarks/stereo.py [FOLDER …] --boxes 1:6 --exposures
 """
 
 import argparse
@@ -32,6 +34,7 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
+from box_scenes import box_scenes
 from peers.opencv_stereo import MATCHERS, Matcher
 from slanted_scenes import slanted_scenes
 from stereo_pairs import Pair, pairs_in
@@ -68,6 +71,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folders", type=Path, nargs="*")
     parser.add_argument("--slanted", default="", metavar="FIRST:LAST", help="seeds of generated slanted scenes")
+    parser.add_argument(
+        "--boxes", default="", metavar="FIRST:LAST", help="seeds of plates with textures of three scales"
+    )
+    parser.add_argument("--exposures", action="store_true", help="only exposures of the right image, with and without")
+    parser.add_argument("--noise", action="store_true", help="only as they are and with noise 5, in short")
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--each", action="store_true", help="the figures of every pair too")
     parser.add_argument("--only", default="", help="methods with this in their name")
@@ -80,8 +88,16 @@ def main() -> None:
     pairs = [gray(pair) for folder in arguments.folders for pair in pairs_in(folder, arguments.shift)]
     if arguments.slanted:
         pairs += [gray(pair) for pair in slanted_scenes(range(*map(int, arguments.slanted.split(":"))))]
+    if arguments.boxes:
+        pairs += [gray(pair) for pair in box_scenes(range(*map(int, arguments.boxes.split(":"))))]
     if not pairs:
         raise SystemExit("no pairs found")
+    if arguments.exposures:
+        print_exposures(pairs)
+        return
+    if arguments.noise:
+        print_noise(pairs)
+        return
     known = everybody(auto=arguments.range == "auto")
     methods = {name: matches for name, matches in known.items() if arguments.only in name}
     print_pairs(pairs)
@@ -169,6 +185,55 @@ def print_conditions(pairs: Sequence[Pair], methods: Mapping[str, Matcher], clea
             cell = brief(mean([quality(change(pair), matches) for pair in pairs]))
             print(f" {cell:>16}", end="", flush=True)
         print()
+
+
+def print_noise(pairs: Sequence[Pair]) -> None:
+    """Print bad2 with and without noise, its means by the first words of the names, and who is worse than whom."""
+    methods = {name: matches for name, matches in everybody(auto=False).items() if "filled" in name or "camcal" in name}
+    groups: dict[str, list[list[list[float]]]] = {}
+    for pair in pairs:
+        both = pair, noisy(pair)
+        found = [[quality(each, matches)["bad2"] for each in both] for matches in methods.values()]
+        groups.setdefault(pair.name.split()[0], []).append(found)
+    print(
+        "bad2 nocc, as they are / noise 5" + "".join(f"{f'{name} ({len(each)})':>18}" for name, each in groups.items())
+    )
+    for place, name in enumerate(methods):
+        means = [np.mean(each, axis=0)[place] for each in groups.values()]
+        print(f"{name:32}" + "".join(f"{'{:.2f} / {:.2f}'.format(*mean):>18}" for mean in means))
+    every = np.array([found for each in groups.values() for found in each])[:, :, 1]
+    rival, own = (every[:, list(methods).index(name)] for name in ("HH 3, padded, filled", "camcal best"))
+    print(f"noise 5: best is worse than HH in {(own > rival).sum()} of {len(every)}")
+
+
+def print_exposures(pairs: Sequence[Pair]) -> None:
+    print(f"bad2 nocc, exposure corrected / not\n{'':24}", *(f"{name:>16}" for name in EXPOSURES))
+    cells = []
+    for pair in pairs:
+        found = [[quality(change(pair), partial(exposed_as, expose=on))["bad2"] for on in (True, False)]
+                 for change in EXPOSURES.values()]  # fmt: skip
+        cells.append(found)
+        print(f"{pair.name:24}", *(f"{'{:.2f} / {:.2f}'.format(*each):>16}" for each in found), flush=True)
+    means = np.mean(cells, axis=0)
+    print(f"{'mean':24}", *(f"{'{:.2f} / {:.2f}'.format(*each):>16}" for each in means))
+
+
+def exposed_as(left: np.ndarray, right: np.ndarray, count: int, *, expose: bool) -> np.ndarray:
+    options = MatchOptions(quality="fast", search=(0, count - 1), fill="all", expose_alike=expose)
+    return match(left, right, options).values
+
+
+def graded(pair: Pair, grade: Callable[[np.ndarray], np.ndarray]) -> Pair:
+    """Return the pair with another exposure of its right image; grade: of gray levels 0 … 1."""
+    return replace(pair, right=np.clip(np.rint(255 * grade(pair.right / 255)), 0, 255).astype(np.uint8))
+
+
+EXPOSURES: Mapping[str, Change] = {
+    "as it is": lambda pair: pair,
+    "gamma 1.5": partial(graded, grade=lambda light: light**1.5),
+    "x 0.7": partial(graded, grade=lambda light: 0.7 * light),
+    "+ 8": partial(graded, grade=lambda light: light + 8 / 255),
+}
 
 
 def print_resources(pair: Pair, methods: Mapping[str, Matcher], repeats: int) -> None:

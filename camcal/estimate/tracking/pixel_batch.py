@@ -23,7 +23,7 @@ from camcal.solve.steps import TridiagonalFactor, factorise_tridiagonal
 _STOPPING = Stopping(iterations=60, damping=1e-6, rise=30.0, by_gain=False, most=1e3)
 _SETTLED = 1e-3  # decrease of a chain's cost that is below which no step is made
 _LOOSENED = (1e-9, 1e-6, 1e-3, 1.0)  # damping against rounding
-_TEMPERATURES = (100.0, 30.0, 10.0, 3.0, 1.0)
+_TEMPERATURES = (1e4, 1e3, 100.0, 30.0, 10.0, 3.0, 1.0)  # a shake of a board may be a hundred deviations of its pose
 _IDENTITY = np.eye(6)
 
 

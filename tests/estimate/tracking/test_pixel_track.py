@@ -15,7 +15,7 @@ from camcal.estimate.tracking.hypotheses import Hypotheses
 from camcal.estimate.tracking.motion import MotionState
 from camcal.estimate.tracking.pixel_track import look_ahead
 from camcal.estimate.tracking.process_noise import ProcessNoise
-from camcal.estimate.tracking.track import TrackOptions, track_views
+from camcal.estimate.tracking.track import TrackOptions, track_poses, track_views
 from camcal.geometry import rotation as so3
 
 CAMERA = Camera(model_named("pinhole"), (1280, 960), np.array([800.0, 800.0, 639.5, 479.5]))
@@ -105,6 +105,19 @@ def test_vibration_is_found_and_its_regions_hold():
 
 
 @pytest.mark.slow
+def test_poses_that_shake_by_many_deviations_keep_their_frames():
+    board = np.array([(x, y, 0.0) for y in np.linspace(-0.075, 0.075, 6) for x in np.linspace(-0.12, 0.12, 9)])
+    rotations, places, _, _ = swaying(0.8, 4, shake=4e-3)
+    rng, views = np.random.default_rng(5), []
+    for index, (rotation, place) in enumerate(zip(rotations, places, strict=True)):
+        pixels = CAMERA.project(board @ rotation.T + place).pixels + 0.3 * rng.normal(size=(54, 2))
+        views.append(Correspondences(str(index), board, pixels))
+    poses = [each.value for each in estimate_poses(CAMERA, views, PoseOptions(noise_px=0.3))]
+    track = track_poses(STAMPS, poses)
+    assert track.posed.all()
+    assert track.jitter_std.camera_turn == pytest.approx(4e-3, rel=0.15)
+
+
 def test_without_vibration_none_is_found():
     _, _, views, poses = swaying(0.8, 5)
     assert not track_views(CAMERA, STAMPS, views, poses, TrackOptions()).jitter_std.any
