@@ -1,12 +1,15 @@
 """Hand and eye of poses of the board, in cases that go wrong: clocks, outliers, encoders, hands that turn too little.
 
 Poses of a camera with noise of 0.1 mm and 0.02° and of a six-axis arm go through files to `camcal handeye
---camera-poses`. Errors are those of the camera's place on the hand, RMS. --opencv PYTHON: a Python whose OpenCV has
-calibrateHandEye, which gets the same pairs. --clean: how often anything is wrong in lists with no mistake, of poses, of
-images of a rig and of moving hands; --named: how often mistakes are named.
+--camera-poses`. Errors are those of the camera's place on the hand, RMS; *as read*: against what 100 exact poses of the
+camera say of an arm whose joints read wrong all the time, whose hand is not where it says. --opencv PYTHON: a Python
+whose OpenCV has calibrateHandEye, which gets the same pairs, as does --visp PROGRAM (peers/visp_hand_eye.cpp). --clean:
+how often anything is wrong in lists with no mistake, of poses, of images of a rig and of moving hands; --named: how
+often mistakes are named.
 """
 
 import argparse
+import subprocess
 import tempfile
 from collections import Counter
 from dataclasses import replace
@@ -91,7 +94,14 @@ def encoders(rng):
     """Joints whose zeros are off by 0.02°, read with a noise of 0.005°."""
     joints, zeros = ELBOW + rng.uniform(-0.5, 0.5, (20, 6)), rng.normal(0, np.radians(0.02), 6)
     read = joints + zeros + rng.normal(0, np.radians(0.005), joints.shape)
-    return list(map(arm, read)), noises(map(seen_from, map(arm, joints)), CAMERA_NOISE, rng)
+    return list(map(arm, read)), noises(map(seen_from, map(arm, joints)), CAMERA_NOISE, rng), {"zeros": zeros}
+
+
+def as_read(rng):
+    """The same, and exact pairs of many poses: what such an arm makes of the place of the camera."""
+    robot, camera, more = encoders(rng)
+    joints = ELBOW + rng.uniform(-0.5, 0.5, (100, 6))
+    return robot, camera, {"exact": (list(map(arm, joints + more["zeros"])), [*map(seen_from, map(arm, joints))])}
 
 
 def one_axis(rng):
@@ -110,11 +120,12 @@ def late(rng):
     camera = noises((seen_from(moving(time)) for time in times), CAMERA_NOISE, rng)
     robot = noises(map(moving, stamps), ROBOT_NOISE, rng)
     pairs = [robot[int(np.argmin(np.abs(stamps + LATE - time)))] for time in times]
-    return (robot, stamps + LATE), (camera, times), pairs
+    return (robot, stamps + LATE), (camera, times), {"pairs": pairs}
 
 
 CASES = {"clean": clean, "exact robot": exact, "2 mm and 0.1°": coarse, "3 of 20 poses off": outliers,
-         "encoders": encoders, "poses 0.08 s late": late, "one axis": one_axis, "no turn": no_turn}  # fmt: skip
+         "encoders": encoders, "encoders, as read": as_read,
+         "poses 0.08 s late": late, "one axis": one_axis, "no turn": no_turn}  # fmt: skip
 
 
 def write(path, poses, form="ros", unit=1.0, stamps=None):
@@ -141,42 +152,62 @@ def ended(options):
         return error
 
 
-def apart(report):
+def apart(report, truth):
     found = next(iter(report.transforms.values()))
-    return found.pose.translation - CARRIER.translation, np.sqrt(np.diag(found.covariance))[:3]
+    off = found.pose.translation - truth.translation, so3.log(found.pose.rotation @ truth.rotation.T)
+    return np.concatenate(off), np.sqrt(np.diag(found.covariance))
 
 
-def show_cases(count, opencv):
-    head = ["case", "named", "error mm", "95 % intervals", "said"]
-    head += [f"OpenCV {name} mm" for name in METHODS] if opencv else []
+def by_visp(program, robot, camera):
+    """How far from its place on the hand ViSP finds the camera, m."""
+    pairs = [own.matrix().ravel() for pair in zip(robot, camera, strict=True) for own in pair]
+    text = f"{len(robot)}\n" + "\n".join(" ".join(map(repr, row.tolist())) for row in pairs)
+    done = subprocess.run([program], input=text, capture_output=True, text=True, check=True)
+    return np.linalg.norm(np.array(done.stdout.split()[-3:], float) - CARRIER.translation)
+
+
+def show_cases(count, opencv, visp):
+    head = ["case", "refused", "error mm", "95 % intervals", "of rotation", "said"]
+    peers = ([f"OpenCV {name}" for name in METHODS] if opencv else []) + (["ViSP"] if visp else [])
+    head += [f"{name} mm" for name in peers]
     print(f"| {' | '.join(head)} |\n{'|---' * len(head)}|")
     with tempfile.TemporaryDirectory() as folder:
         for name, case in CASES.items():
             rng, errors, inside, said, others = np.random.default_rng(11), [], [], Counter(), []
             for _ in range(count):
-                robot, camera, *pairs = case(rng)
+                robot, camera, *rest = case(rng)
+                more, truth = dict(*rest), CARRIER
+                if "exact" in more:
+                    truth = next(iter(solved(Path(folder), *more["exact"]).transforms.values())).pose
                 report = solved(Path(folder), robot, camera)
                 if isinstance(report, CamcalError):
                     said[str(report).partition("hand ")[2].partition(":")[0][:40]] += 1
                 else:
-                    off, std = apart(report)
+                    off, std = apart(report, truth)
                     errors.append(off)
                     inside.append(np.abs(off / std) < 1.96)
                     said.update(each.code for each in report.warnings)
-                if opencv:
-                    listed = pairs[0] if pairs else robot
-                    seen = camera[0] if isinstance(camera, tuple) else camera
-                    others.append(by_opencv(opencv, stacked(listed), stacked(seen)))
+                if "exact" in more:
+                    continue
+                listed, seen = more.get("pairs", robot), camera[0] if isinstance(camera, tuple) else camera
+                found = list(by_opencv(opencv, stacked(listed), stacked(seen)).values()) if opencv else []
+                others.append([*found, *([by_visp(visp, listed, seen)] if visp else [])])
             row = [name, f"{count - len(errors)}", *figures(errors, inside)]
             row.append(", ".join(f"{what} {times}" for what, times in said.items()))
-            row += [f"{1e3 * np.sqrt(np.mean([each[way] ** 2 for each in others])):.3f}" for way in METHODS if others]
+            row += (
+                [f"{1e3 * own:.3f}" for own in np.sqrt(np.mean(np.square(others), axis=0))]
+                if others
+                else [""] * len(peers)
+            )
             print(f"| {' | '.join(row)} |", flush=True)
 
 
 def figures(errors, inside):
     if not errors:
-        return "", ""
-    return f"{1e3 * np.sqrt(np.mean(np.sum(np.square(errors), axis=1))):.3f}", f"{100 * np.mean(inside):.1f} %"
+        return "", "", ""
+    places = 1e3 * np.sqrt(np.mean(np.sum(np.square(errors)[:, :3], axis=1)))
+    turned, moved = (f"{100 * np.mean(np.array(inside)[:, part]):.1f} %" for part in (slice(3, 6), slice(3)))
+    return f"{places:.3f}", moved, turned
 
 
 def rig_files(folder, rng):
@@ -218,7 +249,7 @@ def show_clean(count, rigs, seed):
 
 
 def video(folder, rng):
-    (robot, stamps), camera, _ = late(rng)
+    (robot, stamps), camera, *_ = late(rng)
     return solved(folder, (robot, stamps - LATE), camera)
 
 
@@ -289,6 +320,7 @@ def main():
     parser.add_argument("--count", type=int, default=20)
     parser.add_argument("--rigs", type=int, default=40)
     parser.add_argument("--opencv")
+    parser.add_argument("--visp", metavar="PROGRAM")
     parser.add_argument("--seed", type=int, default=12, help="of --clean")
     parser.add_argument("--clean", action="store_true")
     parser.add_argument("--named", action="store_true")
@@ -296,7 +328,7 @@ def main():
     if options.clean or options.named:
         show_clean(options.count, options.rigs, options.seed) if options.clean else show_named(options.count)
     else:
-        show_cases(options.count, options.opencv)
+        show_cases(options.count, options.opencv, options.visp)
 
 
 if __name__ == "__main__":

@@ -144,6 +144,12 @@ def nearest(matrix: Array) -> Array:
     return np.asarray(u @ vt)
 
 
+def between(first: Array, last: Array, share: float | Array) -> Array:
+    """Return the rotations (..., 3, 3) that are a share (...) of the even turn from one to another."""
+    turn = log(last @ np.swapaxes(first, -1, -2))
+    return np.asarray(exp(np.asarray(share)[..., None] * turn) @ first)
+
+
 def angle_between(first: Array, second: Array) -> Array:
     """Return the angles (...), 0 … π rad, of the turns from rotation matrices (..., 3, 3) to others: their distance."""
     return np.asarray(np.linalg.norm(log(second @ np.swapaxes(first, -1, -2)), axis=-1))

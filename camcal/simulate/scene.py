@@ -207,9 +207,8 @@ def motion(camera: Camera, board: Board, count: int, *, rng: np.random.Generator
 
 def _between(first: Pose, last: Pose, share: float) -> Pose:
     """Return the pose a share of the way from one to another."""
-    turn = so3.log(last.rotation @ first.rotation.T)
     way = last.translation - first.translation
-    return Pose(so3.exp(share * turn) @ first.rotation, first.translation + share * way)
+    return Pose(so3.between(first.rotation, last.rotation, share), first.translation + share * way)
 
 
 @dataclass(frozen=True, eq=False)

@@ -80,3 +80,10 @@ def test_the_angle_between_two_rotations_is_that_of_the_turn_that_joins_them():
         np.testing.assert_allclose(so3.angle_between(first, turn @ first), angle, rtol=1e-9, atol=1e-15)
     stacked = np.stack([first, np.eye(3)])
     np.testing.assert_allclose(so3.angle_between(stacked, stacked), [0, 0], atol=1e-15)
+
+
+def test_a_share_of_the_way_between_two_rotations_is_an_even_turn():
+    first, axis = so3.exp(np.array([0.4, -1.1, 0.3])), np.array([0.6, 0.0, 0.8])
+    shares = np.array([0.0, 0.25, 1.0])
+    found = so3.between(first, so3.exp(2.0 * axis) @ first, shares)
+    np.testing.assert_allclose(found, so3.exp(2.0 * shares[:, None] * axis) @ first, atol=1e-14)

@@ -24,10 +24,9 @@ class Motion:
         """Return the poses (N,) at other times, on the straightest way between two; the last one beyond the end."""
         first = np.clip(np.searchsorted(self.times, times, side="right") - 1, 0, len(self.times) - 2)
         before, after = self.poses.take(first), self.poses.take(first + 1)
-        share = np.clip((times - self.times[first]) / (self.times[first + 1] - self.times[first]), 0.0, 1.0)[:, None]
-        turns = so3.log(before.rotations.transpose(0, 2, 1) @ after.rotations)
-        moved = before.translations + share * (after.translations - before.translations)
-        return Poses(before.rotations @ so3.exp(share * turns), moved)
+        share = np.clip((times - self.times[first]) / (self.times[first + 1] - self.times[first]), 0.0, 1.0)
+        moved = before.translations + share[:, None] * (after.translations - before.translations)
+        return Poses(so3.between(before.rotations, after.rotations, share), moved)
 
     def velocities(self, times: Array) -> Array:
         """Return the velocities (N, 6) of the hand: m/s in the base, rad/s in its own frame."""

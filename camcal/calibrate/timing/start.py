@@ -45,10 +45,10 @@ class Track:
         length = self.times[after] - self.times[before]
         share = (times - self.times[before]) / length
         inside = (share >= 0) & (share <= 1) & (length < _GAP * self.interval)
-        before, after, share = before[inside], after[inside], share[inside, None]
-        turns = so3.log(self.rotations[after] @ self.rotations[before].transpose(0, 2, 1))
-        rotations = so3.exp(share * turns) @ self.rotations[before]
-        translations = (1 - share) * self.translations[before] + share * self.translations[after]
+        before, after, share = before[inside], after[inside], share[inside]
+        rotations = so3.between(self.rotations[before], self.rotations[after], share)
+        way = self.translations[after] - self.translations[before]
+        translations = self.translations[before] + share[:, None] * way
         return inside, Track(times[inside], rotations, translations)
 
     def velocities(self, centre: Array, reach: float) -> tuple[Array, Array]:

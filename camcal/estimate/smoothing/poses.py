@@ -89,10 +89,9 @@ class PoseProblem:
         after = np.minimum(before + 1, len(poses) - 1)
         span = poses.stamps[after] - poses.stamps[before]
         share = np.clip((everything - poses.stamps[before]) / np.where(span > 0, span, 1.0), 0.0, 1.0)
-        turn = so3.log(poses.rotations[after] @ np.swapaxes(poses.rotations[before], 1, 2))
         return cls(
             everything,
-            np.asarray(so3.exp(share[:, None] * turn) @ poses.rotations[before]),
+            so3.between(poses.rotations[before], poses.rotations[after], share),
             translations=poses.translations[before],
             covariances=measured_covariances(poses, sigma)[before],
             measured=measured,
