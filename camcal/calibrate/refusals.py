@@ -313,5 +313,5 @@ def require_focal(focal: float, std: float) -> None:
     if not std < _MAX_FOCAL_ERROR * focal:
         text = f"focal length not determined by the views ({focal:.0f} ± {std:.0f} px)"
         values = {"focal_px": focal, "std_px": std}
-        advice = "add views tilted by 20° to 45° about both axes; for a telecentric lens use --model telecentric"
+        advice = "add views tilted by 20° to 45° about both axes"
         raise _refused("undetermined_focal_length", f"{text}: {advice}", values)

@@ -23,13 +23,12 @@ if TYPE_CHECKING:
 
 # the simplest first: by the number of their parameters
 CANDIDATES = ("pinhole", "opencv4", "kannala_brandt4", "opencv5", "kannala_brandt5t", "opencv8")
+_TELECENTRIC = "telecentric"
 _FIRST = (WIDE_MODEL, DEFAULT_MODEL)  # those that are looked at first
 _CONTAINED = ("pinhole", "opencv4")  # DEFAULT_MODEL with coefficients at zero
 # Refusals and failures that another lens model may remedy; a lens that does not fit may have an infinite focal length.
-_OF_VIEWS = {
-    "no_tilted_views",
-    "undetermined_focal_length",
-}  # where two lens models, one of them for wide lenses, have it
+_NO_FOCAL = "undetermined_focal_length"
+_OF_VIEWS = {"no_tilted_views", _NO_FOCAL}  # where two lens models, one of them for wide lenses, have it
 _OF_THE_LENS = {
     *_OF_VIEWS,
     "lens_model_does_not_fit",
@@ -156,7 +155,8 @@ def select(
             break
     if taken is None:
         failure = failure or NotConverged("no lens model converged")
-        raise _with_remedy(failure, order[0].name, _without(refused, order)) from failure
+        refusal = _with_remedy(failure, order[0].name, _without(refused, order))
+        raise _or_telecentric(refusal, views, board, options, circle) from failure
     return replace(taken, assessment=assess(taken.calibration, circle, _without(refused, order)))
 
 
@@ -175,7 +175,7 @@ def _look_briefly(
         if found[-1].calibration is not None or not _lens_matters(found[-1]):
             break
         if refusal is not None and len(found) > 1 and all(_OF_VIEWS.intersection(each.failures) for each in found):
-            raise refusal
+            raise _or_telecentric(refusal, views, board, options, circle)
     *others, own = found
     mixed = own.calibration is not None and own.calibration.two_cameras is not None
     return (*others, *judge([own], circle)) if mixed else found
@@ -226,13 +226,14 @@ def solve_given(
         if not final and not passing_model(own.name, ranked):
             ranked = rank_all()
         if final or passing_model(own.name, ranked):
-            raise _with_remedy(refusal, own.name, ranked)
+            raise _or_telecentric(_with_remedy(refusal, own.name, ranked), views, board, free, circle)
     try:
         with stage(progress, "solving"):
             start = own.fit if isinstance(own, FittedModel) else None
             calibration = intrinsics.calibrate(views, board, options, start)
     except (InsufficientData, NotConverged) as error:
-        raise _with_remedy(error, own.name, rank_all() if _is_of_the_lens(error) else ()) from error
+        tried = rank_all() if _is_of_the_lens(error) else ()
+        raise _or_telecentric(_with_remedy(error, own.name, tried), views, board, free, circle) from error
     if not options.fixed:
         with stage(progress, "choosing the lens model"):
             beside = rank_beside(own, views, board, free, circle)
@@ -334,6 +335,27 @@ def _with_remedy(error: CamcalError, used: str, candidates: Sequence[CandidateMo
     passing = passing_model(used, candidates)
     text = f"the lens model {used} does not fit these views: {remedy}" if passing else f"{error.message}; {remedy}"
     return type(error)(text, where=error.where, failures=[replace(own, text=text) for own in error.failures])
+
+
+def _or_telecentric(
+    error: CamcalError,
+    views: Sequence[BoardDetection],
+    board: Board,
+    options: intrinsics.Options,
+    circle: ImageCircle | None,
+) -> CamcalError:
+    """Return the refusal; of a focal length that is not determined, as that of a telecentric lens is not, with its lens
+    model where that passes.
+    """
+    if not any(message.code == _NO_FOCAL for message in error.failures) or "--model" in error.message:
+        return error
+    free = replace(options, fixed=(), guess=None)
+    [own] = judge(compare_models(views, board, free, [model_named(_TELECENTRIC)]), circle)
+    if passing_model("", [own]) is None:
+        return error
+    text = f"{error.message}; if the lens is telecentric, use --model {own.name}, which passes all checks in a brief "
+    text += "calibration"
+    return type(error)(text, where=error.where, failures=[replace(each, text=text) for each in error.failures])
 
 
 def _with_reason(selection: Selection, first: str, failure: CamcalError | None) -> Selection:
