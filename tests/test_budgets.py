@@ -33,7 +33,7 @@ LINES = {
     "parsing": 86,
     "progress": 149,
     "quality": 3230,
-    "raw": 5015,
+    "raw": 5022,
     "records": 155,
     "report": 7382,
     "run": 3677,

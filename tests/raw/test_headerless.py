@@ -15,7 +15,7 @@ from camcal.raw.headerless import (
     missing_layout,
     read_headerless,
 )
-from camcal.raw.pixel_formats import FAMILIES, frame_bytes, pack, pixel_format_named
+from camcal.raw.pixel_formats import FAMILIES, frame_bytes, pack, pixel_format_named, unpack
 
 SIZE = (10, 6)
 FRAMES = np.random.default_rng(3).integers(0, 4096, (3, *SIZE[::-1]), np.uint16)
@@ -243,6 +243,23 @@ def test_a_frame_of_another_packing_is_refused_with_the_one_that_fits(tmp_path, 
         read_headerless(path, layout(read_as, (160, 96)))
 
 
+@pytest.mark.parametrize("written_as", PACKED_12)
+@pytest.mark.parametrize("seed", range(4))
+def test_clean_pictures_that_use_all_bits_are_read_in_their_packing_only(tmp_path, written_as, seed):
+    """Of smooth pictures without noise, also the lower bits of neighbours are alike: all are less so when mixed up."""
+    rng = np.random.default_rng(seed)
+    y, x = np.mgrid[:240, :320]
+    across, down, turn = rng.uniform(40, 160, 3)
+    values = np.rint(4095 * (0.5 + 0.45 * np.sin(x / across + turn) * np.cos(y / down))).astype(np.uint16)
+    path = written(tmp_path, pack(values, pixel_format_named(written_as)))
+    np.testing.assert_array_equal(read_headerless(path, layout(written_as, (320, 240)))[0], values)
+    for other in PACKED_12:
+        mixed = unpack(np.frombuffer(path.read_bytes(), np.uint8), pixel_format_named(other), (320, 240))
+        if not np.array_equal(mixed, values):
+            with pytest.raises(InvalidInput, match="--format"):
+                read_headerless(path, layout(other, (320, 240)))
+
+
 @pytest.mark.parametrize("read_as", PACKED_12)
 @pytest.mark.parametrize("written_as", PACKED_12)
 @pytest.mark.parametrize("bits", [8, 10])
@@ -274,13 +291,17 @@ def test_samples_of_sixteen_bits_in_the_other_byte_order_are_refused(tmp_path):
     assert read_headerless(path, layout("BayerRG16", (160, 96), endian="big"))[0].max() > 40_000
 
 
-@pytest.mark.parametrize(("likeness", "refused"), [(0.6, False), (0.15, True)])
-def test_pixels_are_unlike_each_other_below_a_correlation_of_0_3(tmp_path, likeness, refused, monkeypatch):
+@pytest.mark.parametrize(
+    ("likeness", "other", "refused"), [(0.29, 0.61, True), (0.6, 0.75, True), (0.6, 0.72, False), (0.975, 1.0, False)]
+)
+def test_pixels_are_mixed_up_if_another_order_leaves_less_than_two_thirds_of_the_roughness(
+    tmp_path, likeness, other, refused, monkeypatch
+):
     path = written(tmp_path, pack(scene(), pixel_format_named("BayerRG12Packed")))
-    found = iter([likeness, 0.0, 1.0, 1.0])  # of the format that is given, then of the others
+    found = iter([likeness, 0.0, other, other])  # of the format that is given, then of the others
     monkeypatch.setattr(headerless, "_likeness", lambda values: next(found))
     if refused:
-        with pytest.raises(InvalidInput, match="unlike each other"):
+        with pytest.raises(InvalidInput, match=r"alike|unlike each other"):
             read_headerless(path, layout("BayerRG12p", (160, 96)))
     else:
         read_headerless(path, layout("BayerRG12p", (160, 96)))
