@@ -22,12 +22,13 @@ from camcal.calibrate.robot.reading import (
 from camcal.calibrate.robot.start import Poses, _rotation, _weights, closed_form, pairs_of
 from camcal.calibrate.robot.timing import Motion
 from camcal.errors import InsufficientData
+from camcal.formats.pose_text import form_named
 from camcal.formats.robot_poses import RobotRows
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
 from camcal.report.handeye import report_of, systematic_messages
 from camcal.targets.detection import BoardDetection
-from camcal.tasks.calibration.handeye_poses import by_time, require_enough, time_of
+from camcal.tasks.calibration.handeye_poses import by_time, candidates_of, require_enough, time_of
 
 BELOW, ABOVE = 0.7, 1.4  # times a limit
 SIDES = pytest.mark.parametrize(("times", "beyond"), [(BELOW, False), (ABOVE, True)])
@@ -279,8 +280,18 @@ def test_squares_of_few_degrees_of_freedom_weigh_as_what_is_as_likely_of_six():
 def test_of_many_forms_that_fit_as_badly_a_few_are_looked_at():
     rng = np.random.default_rng(4)
     camera = poses_of(rng.normal(0, 0.3, (9, 3)), rng.normal(0, 0.1, (9, 3)))
-    candidates = [(str(place), poses_of(rng.normal(0, 0.3, (9, 3)))) for place in range(20)]
-    assert len(read_robot(candidates, camera, (1.0,), (False,), True)) == 8
+    candidates = [(str(place), poses_of(rng.normal(0, 0.3, (9, 3)))) for place in range(30)]
+    assert len(read_robot(candidates, camera, (1.0,), (False,), True)) == 12
+
+
+@pytest.mark.parametrize("order", ["XYX", "XZX", "YXY", "YZY", "ZXZ", "ZYZ"])
+def test_of_orders_of_euler_angles_that_turn_by_the_same_the_right_one_is_told(order):
+    """All twelve do where the first axis is the last one too."""
+    seen = [board_at(time) for time in np.random.default_rng(1).uniform(0, 30, 12)]
+    for words in (f"euler:{order}:intrinsic:deg", f"euler:{order.lower()}:extrinsic:deg"):
+        numbers = np.array([form_named(words).numbers(hand) for hand in hand_of(seen)])
+        candidates = candidates_of(RobotRows(numbers).forms(), numbers)
+        assert read_robot(candidates, stacked(seen), (1.0,), (False,), True)[0].words == words
 
 
 @pytest.mark.parametrize("dof", [1.0, 3.0, 6.0])

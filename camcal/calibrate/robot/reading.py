@@ -16,7 +16,7 @@ from camcal.geometry import rotation as so3
 
 LEAST_POSES = 5
 _BETTER = 3.0  # times: by so much another reading has to fit better than the one that was said
-_MOST_FORMS = 8  # that are looked at closely: of a wrong list all fit as badly
+_MOST_FORMS = 12  # that are looked at closely, as many as turn by the same: of a wrong list all fit as badly
 _SHIFTS = (1, -1, 2, -2)
 _AXES = 0.15  # of the spread of turns about the first axis, that about the second
 _LEAST_TURN = 0.0873  # rad
