@@ -9,13 +9,13 @@ import pytest
 
 from camcal.calibrate.fit import ShapeOptions
 from camcal.calibrate.intrinsics import Options, calibrate
-from camcal.cameras.catalogue import MODELS
+from camcal.cameras.catalogue import MODELS, model_named
 from camcal.cameras.directions import lens_difference
 from camcal.cameras.model import Camera, require_central
 from camcal.cameras.observations import affine_poses
 from camcal.cameras.refit import refit
 from camcal.cli.main import app
-from camcal.errors import InvalidInput
+from camcal.errors import InsufficientData, InvalidInput
 from camcal.formats import detections, native
 from camcal.formats.camera_file import CameraEntry, CameraFile
 from camcal.geometry import rotation as so3
@@ -26,6 +26,7 @@ from camcal.report.calibration import headline
 from camcal.simulate.scene import observe
 from camcal.targets.board import Board
 from camcal.targets.detection import Detections
+from camcal.tasks.calibration.model_selection import select, solve_given
 from camcal.tasks.calibration.undistort import move_pixels
 
 SIZE, NOISE = (1280, 960), 0.15
@@ -156,3 +157,11 @@ def test_what_needs_a_distance_or_another_lens_refuses_it_in_one_line(tmp_path, 
     assert ended.value.code == 0
     assert "field of view 49.44 x 37.53 mm" in capsys.readouterr().out
     assert headline(calibrate(seen(1)[0], BOARD, Options(MODEL))).endswith(" px/m")
+
+
+@pytest.mark.parametrize("refused", [select, solve_given], ids=["chosen", "given"])
+def test_it_is_proposed_for_views_of_it_in_which_no_focal_length_shows(refused):
+    views, options = seen(3, count=12)[0], Options(model_named("opencv5"))
+    proposed = "if the lens is telecentric, use --model telecentric, which passes all checks in a brief calibration"
+    with pytest.raises(InsufficientData, match=rf"focal length not determined .*; {proposed}"):
+        refused(views, BOARD, options)

@@ -38,10 +38,8 @@ _FOLLOWED = 2.0  # px; of rows that are off by more too many corners are lost
 _SHARP = 0.6  # px; corners that are found scatter by 0.1 to 0.3 px, those that are lost by more than 1
 _SEED = 1
 _GUESSES = 500  # of three matches; if only a third of all is right, eighteen guesses are
-_FEW_GUESSES, _MOSTLY = (
-    40,
-    0.7,
-)  # guesses that are enough where so many of the matches agree: one in 1e7 times none is right
+# guesses that are enough where so many of the matches agree: one in 1e7 times none is right
+_FEW_GUESSES, _MOSTLY = 40, 0.7
 _NEAR = 1.0  # px features are searched for in, about a guess; matches that are right scatter by 0.1 to 0.4 px
 _ROUNDS, _SETTLED = 20, 1e-3  # rounds, and the change of a weight that ends them
 _BREAK = 4.685  # deviations beyond which Tukey's biweight takes a match for wrong; the usual choice for normal errors
