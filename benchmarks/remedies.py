@@ -234,6 +234,7 @@ def remedy(given: Set, seed: int, said: str) -> tuple[str, Sequence[Set]]:
     if "leave out" in said:
         named = set(images)
         return "leave out", [replace(given, views=tuple(view for view in given.views if view.image not in named))]
+    said = said.replace("if the lens is telecentric, use --model telecentric", "")  # which none of these is
     if "use --model" in said:
         (model,) = re.findall(r"--model \(?(\w+)", said)[:1]
         return "model", [replace(given, model=model)]
