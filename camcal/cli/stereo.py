@@ -176,12 +176,10 @@ def cloud(options: CloudOptions, call: ImageCall) -> None:
     Missing options are taken from the sidecar that 'camcal stereo disparity' writes beside a map. Invalid disparities
     (zero, negative, NaN, infinite) give no points. Gray images give a colour and an intensity from 0 to 1.
     """
-    from camcal.tasks.stereo.clouds import stereo_cloud
+    from camcal.progress import require_all
+    from camcal.tasks.stereo.clouds import cloud_folder, folder_document, stereo_cloud
 
     if options.disparity.is_dir():
-        from camcal.progress import require_all
-        from camcal.tasks.stereo.clouds import cloud_folder, folder_document
-
         outcomes = cloud_folder(options, call.progress)
         call.give(lambda: folder_document(outcomes), lambda: _show_clouds(outcomes, call.verbose))
         require_all(outcomes, "maps")

@@ -16,11 +16,11 @@ from camcal.images.remap import Maps
 from camcal.opencv import resized
 from camcal.stereo.disparity import LIMITS
 from camcal.stereo.pair.coarse import (
-    CONTRAST,
-    FLAT,
     Matches,
     coarse_map,
     contrast_of,
+    even_out,
+    halve,
     match_features,
     require_pair,
 )
@@ -322,15 +322,9 @@ def track_corners(left: Array, right: Array, coarse: Array | None = None) -> Mat
     )
 
 
-def _halved(gray: Array) -> Array:
-    """Return an image at half its size, of at least a pixel."""
-    height, width = gray.shape
-    return np.asarray(cv2.resize(gray, (max(width // 2, 1), max(height // 2, 1)), interpolation=cv2.INTER_AREA))
-
-
 def _corners(gray: Array, known: Array) -> Array:
     """Return the corners (N, 2) float32 of an image where its reduced mask is set, pixels."""
-    small = _halved(gray)
+    small = halve(gray)
     mask = cv2.resize(known.astype(np.uint8), small.shape[::-1], interpolation=cv2.INTER_NEAREST)
     corners = cv2.goodFeaturesToTrack(small, _MOST, _QUALITY, _APART, mask=mask, blockSize=_BLOCK)
     if corners is None:
@@ -346,26 +340,13 @@ def _look_up(coarse: Array, pixels: Array, shape: tuple[int, ...]) -> Array:
     return np.asarray(np.nan_to_num(coarse[rows, columns]))
 
 
-def _evened(gray: Array) -> Array:
-    """Return an image as `as_counts` of `locally_normalised` gives it, mean and contrast taken at half the size."""
-    small = _halved(gray).astype(np.float32)
-    window = (_EVENED // 2 | 1,) * 2
-    mean: Array = cv2.blur(small, window)
-    power = cv2.blur(small * small, window) - mean * mean
-    gain: Array = CONTRAST / cv2.sqrt(np.maximum(power, 0) + np.float32(FLAT**2))
-    size = gray.shape[::-1]
-    return np.asarray(
-        cv2.convertScaleAbs(np.maximum((gray - cv2.resize(mean, size)) * cv2.resize(gain, size) + 128, 0))
-    )
-
-
 def _follow(first: Array, second: Array, corners: Array, guesses: Array) -> tuple[Array, Array]:
     """Return where corners (N, 2) of the first image are in the second, pixels, and the mask (N,) of those found."""
     if not len(corners):
         return guesses, np.zeros(0, bool)
     found, status, _ = cv2.calcOpticalFlowPyrLK(
-        _evened(first),
-        _evened(second),
+        even_out(first, _EVENED),
+        even_out(second, _EVENED),
         corners,
         guesses.copy(),
         winSize=(_WINDOW, _WINDOW),

@@ -20,8 +20,8 @@ SEARCH_WIDTHS = (128, 256)  # px of width; the first look is for all disparities
 
 _WIDENED = 0.15  # of the span of the first look, on either side, for the second
 _WINDOW = 9  # px; larger than texture, smaller than what light does to a surface
-FLAT = 2.0  # counts; contrast below the noise of a camera is not made into texture
-CONTRAST = 40.0  # counts of the 8 bits that are matched for one standard deviation
+_FLAT = 2.0  # counts; contrast below the noise of a camera is not made into texture
+_CONTRAST = 40.0  # counts of the 8 bits that are matched for one standard deviation
 _STEP = 16  # fixed point of OpenCV's disparities, and what their number must be a multiple of
 _BLOCK = 3
 _SMALL_STEP, _LARGE_STEP = 8 * _BLOCK**2, 32 * _BLOCK**2  # penalties OpenCV's manual suggests
@@ -117,12 +117,32 @@ def locally_normalised(gray: Array) -> Array:
     window = (_WINDOW, _WINDOW)
     values = gray.astype(np.float32)
     values -= cv2.blur(values, window)
-    return np.asarray(values / cv2.sqrt(cv2.blur(values * values, window) + np.float32(FLAT**2)))
+    return np.asarray(values / cv2.sqrt(cv2.blur(values * values, window) + np.float32(_FLAT**2)))
 
 
 def as_counts(image: Array) -> Array:
     """Return an evened image as uint8: 40 counts for one standard deviation."""
-    return np.asarray(cv2.convertScaleAbs(np.maximum(image + 128 / CONTRAST, 0), alpha=CONTRAST))
+    return np.asarray(cv2.convertScaleAbs(np.maximum(image + 128 / _CONTRAST, 0), alpha=_CONTRAST))
+
+
+def even_out(gray: Array, side: int) -> Array:
+    """Return an image as `as_counts` of a local normalisation in windows of a side, whose means and contrasts are taken
+    at half the size: they vary slowly.
+    """
+    small = halve(gray).astype(np.float32)
+    window = (side // 2 | 1,) * 2
+    mean: Array = cv2.blur(small, window)
+    power = cv2.blur(small * small, window) - mean * mean
+    gain: Array = _CONTRAST / cv2.sqrt(np.maximum(power, 0) + np.float32(_FLAT**2))
+    size = gray.shape[::-1]
+    even = (gray - cv2.resize(mean, size)) * cv2.resize(gain, size)
+    return np.asarray(cv2.convertScaleAbs(np.maximum(even + 128, 0)))
+
+
+def halve(gray: Array) -> Array:
+    """Return an image at half its size, of at least a pixel."""
+    height, width = gray.shape
+    return np.asarray(cv2.resize(gray, (max(width // 2, 1), max(height // 2, 1)), interpolation=cv2.INTER_AREA))
 
 
 def _reduced(gray: Array, width: int) -> Array:

@@ -1,8 +1,8 @@
 """Lens model selection: the first of the candidates, in their order, whose calibration passes the verdict."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 from typing import TYPE_CHECKING
 
 from camcal.calibrate import intrinsics
@@ -23,11 +23,10 @@ if TYPE_CHECKING:
 
 # the simplest first: by the number of their parameters
 CANDIDATES = ("pinhole", "opencv4", "kannala_brandt4", "opencv5", "kannala_brandt5t", "opencv8")
-_TELECENTRIC = "telecentric"
 _FIRST = (WIDE_MODEL, DEFAULT_MODEL)  # those that are looked at first
 _CONTAINED = ("pinhole", "opencv4")  # DEFAULT_MODEL with coefficients at zero
+_TELECENTRIC, _NO_FOCAL = "telecentric", "undetermined_focal_length"  # a lens, and how others are refused for it
 # Refusals and failures that another lens model may remedy; a lens that does not fit may have an infinite focal length.
-_NO_FOCAL = "undetermined_focal_length"
 _OF_VIEWS = {"no_tilted_views", _NO_FOCAL}  # where two lens models, one of them for wide lenses, have it
 _OF_THE_LENS = {
     *_OF_VIEWS,
@@ -155,8 +154,9 @@ def select(
             break
     if taken is None:
         failure = failure or NotConverged("no lens model converged")
-        refusal = _with_remedy(failure, order[0].name, _without(refused, order))
-        raise _or_telecentric(refusal, views, board, options, circle) from failure
+        tried = _without(refused, order)
+        telecentric = partial(_try_telecentric, views, board, options, circle)
+        raise _with_remedy(failure, order[0].name, tried, telecentric) from failure
     return replace(taken, assessment=assess(taken.calibration, circle, _without(refused, order)))
 
 
@@ -175,7 +175,8 @@ def _look_briefly(
         if found[-1].calibration is not None or not _lens_matters(found[-1]):
             break
         if refusal is not None and len(found) > 1 and all(_OF_VIEWS.intersection(each.failures) for each in found):
-            raise _or_telecentric(refusal, views, board, options, circle)
+            telecentric = partial(_try_telecentric, views, board, options, circle)
+            raise _with_remedy(refusal, options.model.name, (), telecentric)
     *others, own = found
     mixed = own.calibration is not None and own.calibration.two_cameras is not None
     return (*others, *judge([own], circle)) if mixed else found
@@ -220,20 +221,21 @@ def solve_given(
         return rank_models([each for each in every if own in beside or each.name != own.name], DEFAULT_MODEL)
 
     refusal = own.refusal if isinstance(own, FittedModel) else None
+    telecentric = partial(_try_telecentric, views, board, free, circle)
     if refusal is not None and _is_of_the_lens(refusal):
         # further passes close nothing that is open for a lens model, nor do models with more parameters than the usual
         final, ranked = _OF_VIEWS.intersection(own.failures), rank_beside(own, views, board, free, circle, others)
         if not final and not passing_model(own.name, ranked):
             ranked = rank_all()
         if final or passing_model(own.name, ranked):
-            raise _or_telecentric(_with_remedy(refusal, own.name, ranked), views, board, free, circle)
+            raise _with_remedy(refusal, own.name, ranked, telecentric)
     try:
         with stage(progress, "solving"):
             start = own.fit if isinstance(own, FittedModel) else None
             calibration = intrinsics.calibrate(views, board, options, start)
     except (InsufficientData, NotConverged) as error:
         tried = rank_all() if _is_of_the_lens(error) else ()
-        raise _or_telecentric(_with_remedy(error, own.name, tried), views, board, free, circle) from error
+        raise _with_remedy(error, own.name, tried, telecentric) from error
     if not options.fixed:
         with stage(progress, "choosing the lens model"):
             beside = rank_beside(own, views, board, free, circle)
@@ -325,37 +327,35 @@ def _is_of_the_lens(error: CamcalError) -> bool:
     return isinstance(error, NotConverged) or any(message.code in _OF_THE_LENS for message in error.failures)
 
 
-def _with_remedy(error: CamcalError, used: str, candidates: Sequence[CandidateModel]) -> CamcalError:
-    """Return the refusal with a lens model that was tried and passes, which is the cause then, or that none of those
-    that were tried does.
-    """
-    remedy = other_models(used, candidates)
-    if not remedy or not _is_of_the_lens(error):
-        return error
-    passing = passing_model(used, candidates)
-    text = f"the lens model {used} does not fit these views: {remedy}" if passing else f"{error.message}; {remedy}"
-    return type(error)(text, where=error.where, failures=[replace(own, text=text) for own in error.failures])
-
-
-def _or_telecentric(
+def _with_remedy(
     error: CamcalError,
-    views: Sequence[BoardDetection],
-    board: Board,
-    options: intrinsics.Options,
-    circle: ImageCircle | None,
+    used: str,
+    candidates: Sequence[CandidateModel],
+    telecentric: Callable[[], Sequence[CandidateModel]] = tuple,
 ) -> CamcalError:
-    """Return the refusal; of a focal length that is not determined, as that of a telecentric lens is not, with its lens
-    model where that passes.
+    """Return the refusal with a lens model that was tried and passes, which is the cause then, or that none of those
+    that were tried does; of a focal length that is not determined, with the telecentric one, whose own is infinite, if
+    that passes. telecentric: tries it.
     """
-    if not any(message.code == _NO_FOCAL for message in error.failures) or "--model" in error.message:
+    if not _is_of_the_lens(error):
         return error
-    free = replace(options, fixed=(), guess=None)
-    [own] = judge(compare_models(views, board, free, [model_named(_TELECENTRIC)]), circle)
-    if passing_model("", [own]) is None:
+    remedy, text = other_models(used, candidates), error.message
+    if passing_model(used, candidates):
+        text = f"the lens model {used} does not fit these views: {remedy}"
+    else:
+        text += f"; {remedy}" if remedy else ""
+        own = telecentric() if any(message.code == _NO_FOCAL for message in error.failures) else ()
+        text += f"; if the lens is telecentric, {other_models(used, own)}" if passing_model(used, own) else ""
+    if text == error.message:
         return error
-    text = f"{error.message}; if the lens is telecentric, use --model {own.name}, which passes all checks in a brief "
-    text += "calibration"
     return type(error)(text, where=error.where, failures=[replace(each, text=text) for each in error.failures])
+
+
+def _try_telecentric(
+    views: Sequence[BoardDetection], board: Board, options: intrinsics.Options, circle: ImageCircle | None
+) -> tuple[CandidateModel, ...]:
+    free = replace(options, fixed=(), guess=None)
+    return judge(compare_models(views, board, free, [model_named(_TELECENTRIC)]), circle)
 
 
 def _with_reason(selection: Selection, first: str, failure: CamcalError | None) -> Selection:

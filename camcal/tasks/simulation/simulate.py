@@ -106,10 +106,10 @@ def simulate(options: SimulateOptions, progress: Progress = SILENT) -> SimulateR
     folder = options.output
     require_own(folder, TRUTH)
     with owned(folder):
-        claim([*(folder / name for name in (TRUTH, BOARD, POSES, CORNERS)), *_places(folder, scenes)])
-        kept = set(_places(folder, scenes))
+        places = dict.fromkeys(_places(folder, scenes))
+        claim([*(folder / name for name in (TRUTH, BOARD, POSES, CORNERS)), *places])
         for path in (folder / IMAGES).rglob("view[0-9][0-9][0-9][0-9].png"):
-            if path not in kept:
+            if path not in places:  # of an earlier run, which this one does not replace
                 path.unlink()
         clear_frames(folder)
         corners = _write_truth(folder, scenes, rig, options)
