@@ -5,9 +5,9 @@ Both have the same record. `CODES` lists all codes except those of the calibrati
 """
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
 from typing import Any
 
+from camcal.dataclass import dataclass, field, replace
 from camcal.parsing import in_one_line
 from camcal.records import Brief
 

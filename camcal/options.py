@@ -8,12 +8,13 @@ import builtins
 import dataclasses
 import types
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import MISSING, dataclass
+from dataclasses import MISSING
 from importlib import import_module
 from math import isfinite, isnan, pi
 from pathlib import Path
 from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
 
+from camcal.dataclass import dataclass
 from camcal.errors import InvalidInput
 from camcal.parsing import did_you_mean, parse_crop, parse_integer, parse_number, parse_numbers, parse_size
 from camcal.records import Brief

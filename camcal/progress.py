@@ -3,9 +3,9 @@
 import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from typing import Any, Generic, Protocol, TypeVar
 
+from camcal.dataclass import dataclass
 from camcal.errors import CamcalError, ItemsFailed
 from camcal.messages import Message
 

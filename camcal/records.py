@@ -5,8 +5,10 @@ words for a table. Records in a document become documents, and arrays lists, whe
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import MISSING, Field, dataclass, fields, is_dataclass
+from dataclasses import MISSING, Field, fields, is_dataclass
 from typing import TYPE_CHECKING, Any, NoReturn
+
+from camcal.dataclass import dataclass
 
 _ENTRY = "entry"
 

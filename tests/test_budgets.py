@@ -20,6 +20,7 @@ LINES = {
     "calibrate": 11264,
     "cameras": 4250,
     "cli": 3688,
+    "dataclass": 100,
     "errors": 137,
     "estimate": 8568,
     "files": 398,

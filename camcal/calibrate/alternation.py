@@ -1,13 +1,13 @@
 """Passes of an alternating estimation: how many there are, and how far each of them goes."""
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
 
 import numpy as np
 
 from camcal.arrays import Array
 from camcal.calibrate.effects import Posterior
 from camcal.calibrate.shape import AT_ALL_TOGETHER, TOGETHER
+from camcal.dataclass import dataclass
 from camcal.solve.steps import Factors
 
 # Passes: at least, unless noise and scales are known; at most; of a brief estimate at most.

@@ -5,7 +5,6 @@ and not by how large residuals are: such errors make them larger without any ord
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -15,6 +14,7 @@ from camcal.calibrate.estimator import Estimate
 from camcal.calibrate.problem import POSE, Derivatives
 from camcal.calibrate.pupil import EntrancePupil, entrance_pupil
 from camcal.calibrate.single_views import ViewOffsets, followed
+from camcal.dataclass import dataclass, field, replace
 from camcal.records import Brief
 from camcal.targets.board import RATIOS, basis
 

@@ -1,7 +1,6 @@
 """What an estimate keeps of one camera: where it is, and the noise and the weights of its corners."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -22,6 +21,7 @@ from camcal.calibrate.noise import (
 )
 from camcal.calibrate.problem import POSE, BoardProblem, Derivatives, State
 from camcal.calibrate.shape import Scale, first_scales, with_priors
+from camcal.dataclass import dataclass, replace
 
 _FINER = 0.4  # of the standard deviation that the images claim of a typical corner: the least that is accepted
 _LEAST_DOF = 0.05  # of the coordinates, however many parameters were paid for

@@ -11,7 +11,6 @@ a coefficient of the sixth power, fitted to noise, would say nothing true of the
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -21,6 +20,7 @@ from camcal.calibrate.noise import CUT, robust_sigma, truncation
 from camcal.cameras.lens import CameraModel
 from camcal.cameras.model import Camera
 from camcal.cameras.observations import linearised, residuals
+from camcal.dataclass import dataclass, replace
 from camcal.errors import InsufficientData, NotConverged
 from camcal.solve.least_squares import Solution, minimise
 from camcal.solve.losses import Cauchy, Loss, chi_square_beyond

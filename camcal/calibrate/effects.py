@@ -12,13 +12,13 @@ Source: Harville 1977, section 5 (the scores from predicted effects); Patterson 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from camcal.arrays import Array
 from camcal.calibrate.problem import POSE, BoardProblem, Derivatives, State
 from camcal.cameras.observations import by_pose
+from camcal.dataclass import dataclass, field, replace
 from camcal.solve.steps import Factors, NormalEquations, Step, factorise, lowest_along
 from camcal.targets.board import CLASSES, Board, basis, normalised
 

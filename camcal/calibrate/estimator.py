@@ -7,7 +7,6 @@ counts for little now is examined again in the next pass.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -31,6 +30,7 @@ from camcal.calibrate.shape import (
     spent_on_offsets,
     with_terms,
 )
+from camcal.dataclass import dataclass, replace
 from camcal.solve.descent import Stopping
 from camcal.solve.least_squares import minimise
 from camcal.solve.losses import Cauchy

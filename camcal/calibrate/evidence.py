@@ -1,7 +1,6 @@
 """Evidence for and size of errors within views beyond noise."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -18,6 +17,7 @@ from camcal.calibrate.effects import (
 )
 from camcal.calibrate.estimator import Estimate
 from camcal.calibrate.problem import POSE
+from camcal.dataclass import dataclass, replace
 from camcal.targets.board import basis
 
 _VIEWS = 40  # effects that so many views do not show need not be modelled

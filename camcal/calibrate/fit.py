@@ -1,7 +1,6 @@
 """The calibration from start to solution: robust fits, symmetric boards, estimates and their average."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -32,6 +31,7 @@ from camcal.cameras.observations import Observations
 from camcal.cameras.plane_model import PlaneModel
 from camcal.cameras.refit import fit_lens
 from camcal.cameras.spline_modes import ReducedSpline
+from camcal.dataclass import dataclass, replace
 from camcal.errors import InsufficientData
 from camcal.solve.descent import Stopping
 from camcal.solve.least_squares import minimise

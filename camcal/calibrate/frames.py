@@ -11,7 +11,6 @@ Maximizing Submodular Set Functions, 1978 (the greedy choice reaches 63 % of the
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,6 +19,7 @@ from camcal.calibrate.initialise import sweep_focal
 from camcal.calibrate.problem import BoardProblem, State
 from camcal.cameras.catalogue import WIDE_MODEL, model_named
 from camcal.cameras.observations import Observations
+from camcal.dataclass import dataclass, replace
 from camcal.solve.least_squares import linearise
 from camcal.targets.board import Board
 from camcal.targets.detection import BoardDetection

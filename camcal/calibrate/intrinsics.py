@@ -1,7 +1,7 @@
 """Calibration of one camera from detections of a board: lens, poses, board shape, and their uncertainty."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import fields
 
 import numpy as np
 
@@ -35,6 +35,7 @@ from camcal.cameras.lens import CameraModel
 from camcal.cameras.model import Camera
 from camcal.cameras.observations import Observations
 from camcal.cameras.spline import SplinedStereographic
+from camcal.dataclass import dataclass, field, replace
 from camcal.errors import InsufficientData, InvalidInput, NotConverged
 from camcal.records import Brief
 from camcal.solve.steps import SingularError

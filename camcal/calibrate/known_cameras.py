@@ -8,7 +8,6 @@ See docs/mathematics.md, "Check of a calibration".
 
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -26,6 +25,7 @@ from camcal.calibrate.rigs.problem import LensPrior, RigProblem, RigState
 from camcal.calibrate.shape import TOGETHER, first_scales
 from camcal.cameras.model import Camera
 from camcal.cameras.observations import Observations, by_pose
+from camcal.dataclass import dataclass, replace
 from camcal.errors import InsufficientData
 from camcal.geometry.pose import Pose
 from camcal.solve.descent import Stopping

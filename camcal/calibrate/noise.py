@@ -17,11 +17,11 @@ Source: Patterson & Thompson 1971 (REML), Jennrich & Sampson 1976 (Fisher scorin
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 
 import numpy as np
 
 from camcal.arrays import Array
+from camcal.dataclass import dataclass, field
 from camcal.solve.dense import minimise_nonnegative
 
 REJECTED = 1 / 3  # a corner of a smaller weight is listed as rejected: 4 of 100 000 Gaussian ones, beyond 4.5 σ

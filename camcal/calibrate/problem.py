@@ -5,7 +5,6 @@ its points (x y z of point 0, of point 1, …). Each view's pose camera_T_board 
 followed by the coefficients of effects within views where an estimator models them.
 """
 
-from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -14,6 +13,7 @@ from camcal.arrays import Array
 from camcal.cameras.lens import CameraModel
 from camcal.cameras.observations import Observations, by_pose, linearised, residuals, rotated_points, whitened
 from camcal.cameras.spline_modes import ReducedSpline
+from camcal.dataclass import dataclass, replace
 from camcal.geometry.pose import retract
 from camcal.solve.least_squares import assemble
 from camcal.solve.losses import Loss

@@ -6,8 +6,6 @@ beside the lens, all else following, in one step from a solution; its variance i
 Source: Gennery, Generalized camera calibration including fish-eye lenses, IJCV 68, 2006 (the moving entrance pupil).
 """
 
-from dataclasses import dataclass, replace
-
 import numpy as np
 
 from camcal.arrays import Array
@@ -17,6 +15,7 @@ from camcal.calibrate.influence import influence
 from camcal.calibrate.noise import REJECTED
 from camcal.calibrate.problem import BoardProblem
 from camcal.cameras.observations import whitened
+from camcal.dataclass import dataclass, replace
 from camcal.records import Brief
 from camcal.solve.least_squares import assemble
 from camcal.solve.losses import student_bound

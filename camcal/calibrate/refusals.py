@@ -6,7 +6,6 @@ would be.
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,6 +15,7 @@ from camcal.calibrate.problem import BoardProblem, State
 from camcal.calibrate.several_cameras import SMOOTH, TwoCameras, smoothness
 from camcal.calibrate.shared_residuals import CellSums
 from camcal.calibrate.view_records import names_of, px_words
+from camcal.dataclass import dataclass, replace
 from camcal.errors import InsufficientData
 from camcal.messages import Message, Value
 from camcal.targets.board import Board

@@ -10,7 +10,6 @@ group, so that a small group gains nothing by following its corners.
 import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
 from pathlib import PurePath
 
 import numpy as np
@@ -22,6 +21,7 @@ from camcal.calibrate.noise import FINEST
 from camcal.calibrate.problem import BoardProblem, State
 from camcal.calibrate.single_views import ViewQuadratics, view_quadratics
 from camcal.calibrate.view_records import names_of, px_words
+from camcal.dataclass import dataclass, replace
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.messages import counted
 from camcal.solve.descent import Stopping

@@ -13,12 +13,12 @@ for the points and for everything else soon leads to the same minimum.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
 
 import numpy as np
 
 from camcal.arrays import Array
 from camcal.calibrate.problem import BoardProblem, Derivatives, State
+from camcal.dataclass import dataclass, replace
 from camcal.solve import least_squares
 from camcal.solve.steps import Block, Factors, Step
 from camcal.targets.board import (

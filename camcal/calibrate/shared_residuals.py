@@ -6,11 +6,10 @@ pairs of views add up to the square of what they share, free of the noise of eit
 zero.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from camcal.arrays import Array
+from camcal.dataclass import dataclass
 from camcal.solve.losses import chi_square_beyond
 
 CELLS = (10, 8)

@@ -11,7 +11,6 @@ lens, the pose following.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from statistics import NormalDist
 
@@ -21,6 +20,7 @@ from camcal.arrays import Array
 from camcal.calibrate.effects import scaled
 from camcal.calibrate.noise import FINEST, RAYLEIGH_MEDIAN, row_medians
 from camcal.calibrate.problem import BoardProblem, State
+from camcal.dataclass import dataclass
 from camcal.solve.losses import Cauchy, chi_square_beyond
 from camcal.solve.steps import NormalEquations, lower_inverse
 

@@ -1,7 +1,6 @@
 """Results of views and of single corners, and the reasons why some are not used."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from pathlib import PurePath
 
 import numpy as np
@@ -9,6 +8,7 @@ import numpy as np
 from camcal.arrays import Array, FloatArray, readonly
 from camcal.calibrate.fit import CalibrationFit
 from camcal.calibrate.noise import median_limit
+from camcal.dataclass import dataclass, replace
 from camcal.geometry.pose import Pose
 from camcal.records import Brief
 from camcal.targets.detection import BoardDetection

@@ -9,7 +9,6 @@ lens distortion models (ptlens).
 import math
 from abc import abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
@@ -19,6 +18,7 @@ from camcal.cameras.axial_plane import AxialPlane
 from camcal.cameras.distortion import first_root
 from camcal.cameras.lens import Parameter
 from camcal.cameras.plane_model import FAR, Values, find_increasing
+from camcal.dataclass import dataclass
 from camcal.records import Brief
 
 _TABLE = 257  # places of a function whose inverse is begun from its table

@@ -5,13 +5,13 @@ A subclass has s with its derivatives and its inverse; the chain to the pixels a
 
 import math
 from abc import abstractmethod
-from dataclasses import dataclass
 
 import numpy as np
 
 from camcal.arrays import Array
 from camcal.cameras.distortion import Distorted
 from camcal.cameras.plane_model import CORE, Flat, PlaneModel, Slopes, Values
+from camcal.dataclass import dataclass
 
 # So far out a plane without an edge is as good as at its end: the angle there is exact to rounding.
 _OUTERMOST = 1e12

@@ -4,7 +4,6 @@ Sources: see distortion.py; the order of the coefficients is OpenCV's.
 """
 
 import math
-from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
@@ -13,6 +12,7 @@ from camcal.arrays import Array
 from camcal.cameras.distortion import Distorted
 from camcal.cameras.lens import OPENCV, Parameter
 from camcal.cameras.plane_model import CORE, Flat, PlaneModel, Slopes, Values
+from camcal.dataclass import dataclass
 from camcal.records import Brief
 
 # In OpenCV's order. The typical barrel stays one-to-one at any field of view.

@@ -11,7 +11,6 @@ Claus & Fitzgibbon, CVPR 2005 (rational); Louhichi et al., 2007 (tilt).
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -19,6 +18,7 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.cameras.tilt import Tilt, transform
+from camcal.dataclass import dataclass
 
 Columns = tuple[int, ...]
 

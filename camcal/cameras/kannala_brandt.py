@@ -7,7 +7,6 @@ src/colmap/sensor/models.h; OpenSfM, camera_distortions_functions.h; Project Ari
 """
 
 import math
-from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import ClassVar
 
@@ -17,6 +16,7 @@ from camcal.arrays import Array
 from camcal.cameras.distortion import Distorted, Roles
 from camcal.cameras.lens import FISHEYE, Parameter
 from camcal.cameras.plane_model import TILT, Flat, PlaneModel, Slopes, Values
+from camcal.dataclass import dataclass, replace
 from camcal.records import Brief
 
 SERIES_ANGLE = 1e-4

@@ -2,12 +2,12 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
 from camcal.arrays import Array, BoolArray, FloatArray, IntArray
+from camcal.dataclass import dataclass
 from camcal.parsing import LARGEST
 from camcal.records import Brief
 

@@ -1,7 +1,6 @@
 """A camera: lens model, image size and parameters; a rig of cameras."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
@@ -11,6 +10,7 @@ from camcal.arrays import Array, FloatArray, readonly, require_shape
 from camcal.cameras.catalogue import MODELS
 from camcal.cameras.directions import projection_covariances
 from camcal.cameras.lens import FISHEYE, OPENCV, CameraModel, Projection, ProjectionJacobians, Rays
+from camcal.dataclass import dataclass
 from camcal.errors import InvalidInput
 from camcal.geometry.pose import Pose
 from camcal.records import Brief

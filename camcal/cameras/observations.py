@@ -4,13 +4,13 @@ Long axes come last: V views of P points each are (…, V, P).
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
 
 from camcal.arrays import Array
 from camcal.cameras.lens import CameraModel, ProjectionJacobians
+from camcal.dataclass import dataclass, field, replace
 from camcal.geometry import rotation as so3
 
 

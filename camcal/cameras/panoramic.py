@@ -5,7 +5,6 @@ Source: Snyder, Map projections: a working manual, USGS 1987 (perspective cylind
 """
 
 import math
-from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
@@ -13,6 +12,7 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.cameras.distortion import Distorted
 from camcal.cameras.plane_model import Flat, PlaneModel, Slopes, Values, chained
+from camcal.dataclass import dataclass
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,6 @@ Fixed-point iteration, which does for narrow lenses, diverges on wide ones.
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import ClassVar, NamedTuple, Self
 
@@ -17,6 +16,7 @@ import numpy as np
 from camcal.arrays import Array, require_shape
 from camcal.cameras.distortion import Distorted, Distortion, Gradient, Limit, Roles
 from camcal.cameras.lens import Domain, Parameter, Projection, ProjectionJacobians, Rays, staged
+from camcal.dataclass import dataclass, replace
 from camcal.errors import InvalidInput
 
 CORE = (

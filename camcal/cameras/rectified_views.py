@@ -4,14 +4,13 @@ Cylinder and equirectangular view with x and y exchanged: a plane through the x 
 cameras that stand beside each other along x see every point in one row.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from camcal.arrays import Array
 from camcal.cameras.distortion import Distorted
 from camcal.cameras.panoramic import Panorama
 from camcal.cameras.plane_model import Flat, Slopes, Values
+from camcal.dataclass import dataclass
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,6 +12,7 @@ from camcal.cameras.model import Camera, require_central
 from camcal.cameras.spline import CUBIC, SplinedStereographic
 from camcal.cameras.spline_modes import reduced_spline
 from camcal.cameras.validity import ImageCircle
+from camcal.dataclass import dataclass, replace
 from camcal.errors import InsufficientData
 from camcal.solve.dense import DenseMethod, minimise_dense
 from camcal.solve.least_squares import minimise

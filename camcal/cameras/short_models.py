@@ -5,7 +5,6 @@ of multiple view geometry and lens distortion, CVPR 2001; Kingslake, Optics in p
 """
 
 import math
-from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
@@ -14,6 +13,7 @@ from camcal.arrays import Array
 from camcal.cameras.axial_plane import AxialPlane, of_denominator
 from camcal.cameras.lens import Parameter
 from camcal.cameras.plane_model import Values
+from camcal.dataclass import dataclass
 from camcal.records import Brief
 
 _SERIES = 1e-3  # of an angle: the first three terms of its series in squares are exact to 1e-18

@@ -7,7 +7,6 @@ camera model, RA-L 2016; Usenko, Demmel & Cremers, The double sphere camera mode
 """
 
 import math
-from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
@@ -16,6 +15,7 @@ from camcal.arrays import Array
 from camcal.cameras.axial_plane import AxialPlane, of_denominator
 from camcal.cameras.lens import Parameter
 from camcal.cameras.plane_model import CORE, Values
+from camcal.dataclass import dataclass
 from camcal.records import Brief
 
 ALPHA = Parameter("alpha", spread=0.5, mean=0.5, typical=0.55, limits=(0.0, 1.0), stage=1)

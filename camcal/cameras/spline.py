@@ -7,7 +7,6 @@ Source: mrcal's LENSMODEL_SPLINED_STEREOGRAPHIC (Kogan), whose parameters these 
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from itertools import product
 from typing import ClassVar, NamedTuple
@@ -19,6 +18,7 @@ from camcal.cameras.distortion import Distorted, Distortion, Gradient, Limit, Ro
 from camcal.cameras.lens import Parameter, ProjectionJacobians, Rays
 from camcal.cameras.panoramic import Stereographic
 from camcal.cameras.plane_model import CORE, Lens, Slopes, Values, blank, fill_core, parts_of, refine, to_pixels
+from camcal.dataclass import dataclass
 from camcal.errors import InvalidInput
 from camcal.parsing import did_you_mean
 

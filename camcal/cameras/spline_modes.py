@@ -12,7 +12,6 @@ corners, so that neither is a gauge. Where nothing is seen, a difference fades t
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -22,6 +21,7 @@ from camcal.cameras.lens import CameraModel, Domain, Projection, ProjectionJacob
 from camcal.cameras.model import Camera
 from camcal.cameras.plane_model import CORE
 from camcal.cameras.spline import Knots, SplinedStereographic
+from camcal.dataclass import dataclass, field
 from camcal.geometry import rotation as so3
 
 _PER_KNOT = 4  # samples of the base lens, across and down

@@ -8,7 +8,6 @@ Source: Steger, A comprehensive and versatile camera model for cameras with tilt
 """
 
 import math
-from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
@@ -18,6 +17,7 @@ from camcal.cameras.brown import COEFFICIENTS
 from camcal.cameras.distortion import Distorted
 from camcal.cameras.lens import Rays
 from camcal.cameras.plane_model import Flat, PlaneModel, Slopes, Values
+from camcal.dataclass import dataclass
 from camcal.records import Brief
 
 _OFF_CENTRE = 1 / 8  # of the image's diagonal, the standard deviation of the principal point from the middle

@@ -5,11 +5,11 @@ Source: Louhichi et al., Self-calibration of Scheimpflug cameras, 2007, with the
 """
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
 from camcal.arrays import Array
+from camcal.dataclass import dataclass
 
 
 @dataclass(frozen=True)

@@ -4,13 +4,13 @@ The size of a pixel is the angle it sees, or its side on a plane in front of the
 """
 
 import math
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 
 from camcal.arrays import Array, BoolArray, readonly
 from camcal.cameras.model import Camera
+from camcal.dataclass import dataclass
 
 PER_EDGE = 16  # samples of each edge of the image: a corner and those towards the next one
 _INSIDE = 1e-6  # of a line: so far inside of where a lens folds it surely has a ray

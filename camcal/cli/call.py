@@ -1,12 +1,12 @@
 """How a command is called, and how it gives its result."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
 
 from camcal.cli import show
 from camcal.cli.show import plain
+from camcal.dataclass import dataclass, field
 from camcal.errors import InvalidInput, ItemsFailed
 from camcal.files import LEDGER, STANDARD
 from camcal.images.options import set_max_pixels

@@ -7,7 +7,6 @@ Its docstring is its help.
 import inspect
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from itertools import takewhile
 from pathlib import Path
@@ -19,6 +18,7 @@ from typer.core import TyperCommand
 
 from camcal.cli import examples, show
 from camcal.cli.call import Call, TextParameters
+from camcal.dataclass import dataclass
 from camcal.errors import InvalidInput
 from camcal.files import STANDARD
 from camcal.options import GENERAL, Argument, Declared, assembled, by_group, declared

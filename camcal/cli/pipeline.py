@@ -4,7 +4,6 @@ import sys
 import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import chdir
-from dataclasses import dataclass, field
 from functools import partial
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, get_type_hints
@@ -13,6 +12,7 @@ from camcal import files, urls
 from camcal.cli import show
 from camcal.cli.call import ImageCall
 from camcal.cli.show import kept, plain
+from camcal.dataclass import dataclass, field
 from camcal.errors import EXIT_BUG, ItemsFailed, translated
 from camcal.messages import Message
 from camcal.options import declared

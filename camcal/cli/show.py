@@ -9,13 +9,13 @@ import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
-from dataclasses import dataclass, field
 from io import StringIO
 from pathlib import Path, PurePath
 from typing import Any, TextIO
 
 from camcal import records
 from camcal.cli.progress_bar import ProgressBar
+from camcal.dataclass import dataclass, field
 from camcal.errors import FileError, reason
 from camcal.files import STANDARD
 from camcal.messages import Message, counted

@@ -6,11 +6,11 @@ Rotation Averaging, 2013.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from camcal.arrays import Array, FloatArray
+from camcal.dataclass import dataclass
 from camcal.errors import InsufficientData, InvalidInput, NotConverged
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose

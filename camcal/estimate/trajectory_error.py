@@ -4,11 +4,10 @@ Source: Sturm et al., A benchmark for the evaluation of RGB-D SLAM systems, 2012
 transformation parameters between two point patterns, 1991. Pairs and defaults are those of evo, so that numbers agree.
 """
 
-from dataclasses import dataclass, field
-
 import numpy as np
 
 from camcal.arrays import Array, FloatArray
+from camcal.dataclass import dataclass, field
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Trajectory

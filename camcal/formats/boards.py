@@ -30,13 +30,13 @@ by row; Kalibr's own frame of them has x along the columns of a checkerboard and
 """
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from camcal import files
+from camcal.dataclass import dataclass, field
 from camcal.errors import InvalidInput
 from camcal.formats import documents, emit
 from camcal.formats.documents import Check, Fault

@@ -2,13 +2,13 @@
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from camcal.arrays import Array, FloatArray, readonly
 from camcal.cameras.model import Camera, Rig, reframed, reframing, resized
 from camcal.cameras.validity import ImageCircle, valid_block
+from camcal.dataclass import dataclass, field, replace
 from camcal.errors import InvalidInput
 from camcal.geometry.frame_graph import FrameGraph
 from camcal.geometry.pose import JOINT, Derived, NamedTransform, Pose, frames_of

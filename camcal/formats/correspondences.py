@@ -17,7 +17,6 @@ Tables of points alone, which `camcal transform points` takes to another frame, 
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +24,7 @@ import numpy as np
 
 from camcal import files
 from camcal.arrays import Array, readonly
+from camcal.dataclass import dataclass
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.estimate.poses.records import Correspondences
 from camcal.formats.documents import Fault, child, load_either

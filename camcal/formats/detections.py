@@ -18,7 +18,6 @@ that they are read back bit for bit.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
 from itertools import chain, islice
 from pathlib import Path
 from typing import Any
@@ -28,6 +27,7 @@ import numpy as np
 from camcal import files
 from camcal.arrays import Array
 from camcal.cameras.validity import ImageCircle
+from camcal.dataclass import dataclass, replace
 from camcal.errors import InvalidInput, Located
 from camcal.formats import corner_lists, emit, vnl
 from camcal.formats.detections_text import CIRCLE, COLUMNS, MAGIC, NONE, OPTIONAL, VERSION, csv_text

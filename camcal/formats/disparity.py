@@ -5,13 +5,13 @@ PFM files are gray, rows from the bottom up.
 """
 
 import re
-from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
 import numpy as np
 
 from camcal.arrays import Array, Float32Array, readonly
+from camcal.dataclass import dataclass
 from camcal.errors import FileError, InvalidInput
 from camcal.files import natural_key, read_bytes, replacing
 from camcal.formats import disparity_sidecar

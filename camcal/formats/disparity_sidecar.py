@@ -6,12 +6,13 @@
 import json
 import os
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from camcal import files
 from camcal.arrays import FloatArray, readonly
+from camcal.dataclass import dataclass, field
 from camcal.errors import InvalidInput, Located
 from camcal.formats.documents import Fault, child, parse_json
 from camcal.formats.emit import rounded

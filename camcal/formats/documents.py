@@ -15,13 +15,13 @@ import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple, NoReturn
 
 import yaml
 
 from camcal import files
+from camcal.dataclass import dataclass, replace
 from camcal.errors import FileError, InvalidInput
 from camcal.messages import Message
 

@@ -10,7 +10,6 @@ translation too. Unlike in a camera file, transforms may form loops.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +17,7 @@ import numpy as np
 
 from camcal import files
 from camcal.arrays import Array
+from camcal.dataclass import dataclass
 from camcal.errors import InvalidInput, Located
 from camcal.formats import cameras, emit, native, poses
 from camcal.formats.camera_file import named_transform

@@ -8,7 +8,6 @@ KITTI: P0: to P3: (or P_rect_00: …), 3 × 4 projections of the two gray and th
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -16,6 +15,7 @@ import numpy as np
 
 from camcal import files
 from camcal.arrays import Array
+from camcal.dataclass import dataclass, replace
 from camcal.errors import FileError, InvalidInput, Located
 from camcal.formats.camera_file import CameraFile, Transform
 from camcal.formats.cameras import file_storage, ros

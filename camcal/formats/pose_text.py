@@ -17,7 +17,6 @@ Metres, and radians unless the form says deg.
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
@@ -25,6 +24,7 @@ import numpy as np
 
 from camcal import files
 from camcal.arrays import Array, FloatArray
+from camcal.dataclass import dataclass
 from camcal.errors import FileError, InvalidInput, Located
 from camcal.formats import emit
 from camcal.geometry import rotation as so3

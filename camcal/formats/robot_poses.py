@@ -7,7 +7,6 @@ array of them, 4 x 4 x N or a row each.
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -16,6 +15,7 @@ import numpy as np
 
 from camcal import files
 from camcal.arrays import Array
+from camcal.dataclass import dataclass
 from camcal.errors import FileError, InvalidInput, Located
 from camcal.formats.documents import parse_foreign
 from camcal.formats.pose_text import Form

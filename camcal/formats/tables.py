@@ -5,7 +5,6 @@ The numbers of poses, which all text formats of trajectories have, become a traj
 
 import csv
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +12,7 @@ import numpy as np
 
 from camcal import files
 from camcal.arrays import Array
+from camcal.dataclass import dataclass
 from camcal.errors import FileError, InvalidInput, Located
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Trajectory, frames_of

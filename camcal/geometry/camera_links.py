@@ -2,7 +2,8 @@
 
 import heapq
 from collections.abc import Sequence
-from dataclasses import dataclass
+
+from camcal.dataclass import dataclass
 
 
 @dataclass(frozen=True)

@@ -6,12 +6,12 @@ A product such as "a_T_b * inv(c_T_b)" is read without running it, and its frame
 import ast
 from collections import Counter, deque
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from functools import reduce
 
 import numpy as np
 
 from camcal.arrays import FloatArray
+from camcal.dataclass import dataclass
 from camcal.errors import InvalidInput
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import JOINT, Derived, NamedTransform, Pose, frames_of

@@ -5,13 +5,13 @@ Directions of the axes of a frame: from text such as "x forward, y left, z up", 
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Generic, TypeVar
 
 import numpy as np
 
 from camcal.arrays import Array, FloatArray, IntArray, readonly
+from camcal.dataclass import dataclass, field, replace
 from camcal.errors import InvalidInput
 from camcal.geometry import rotation as so3
 from camcal.records import Brief

@@ -11,11 +11,10 @@ Source: Chirikjian, Stochastic Models, Information Theory, and Lie Groups, vol. 
 O'Sullivan, Geometric Skinning with Approximate Dual Quaternion Blending, 2008; Diebel, Representing Attitude, 2006.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from camcal.arrays import Array
+from camcal.dataclass import dataclass
 from camcal.errors import InvalidInput
 
 SERIES_ANGLE = 1e-4

@@ -10,8 +10,9 @@ import struct
 import zlib
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import dataclass
 from typing import Any, NamedTuple
+
+from camcal.dataclass import dataclass
 
 UPRIGHT = 1
 JPEG = b"\xff\xd8\xff"

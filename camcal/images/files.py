@@ -9,7 +9,6 @@ and pam; Google's WebP container and lossless bitstream; ITU-T T.800, annex A an
 import re
 import struct
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
 
@@ -18,6 +17,7 @@ import numpy as np
 
 from camcal import files
 from camcal.arrays import Array
+from camcal.dataclass import dataclass
 from camcal.errors import FileError, InvalidInput, translated
 from camcal.files import read_bytes
 from camcal.images import exif

@@ -4,7 +4,6 @@ import io
 import math
 import zlib
 from collections.abc import Iterable
-from dataclasses import dataclass
 from pathlib import Path
 from tokenize import TokenError
 
@@ -12,6 +11,7 @@ import numpy as np
 from numpy.typing import DTypeLike
 
 from camcal.arrays import Array, PixelArray
+from camcal.dataclass import dataclass
 from camcal.errors import FileError, InvalidInput
 from camcal.files import read_bytes, replacing
 

@@ -6,12 +6,11 @@ Sources: Fischler & Bolles, Random Sample Consensus, Communications of the ACM 2
 Least-squares fitting of circles and ellipses, BIT 34, 1994.
 """
 
-from dataclasses import dataclass, replace
-
 import numpy as np
 
 from camcal.arrays import Array
 from camcal.cameras.validity import ImageCircle
+from camcal.dataclass import dataclass, replace
 from camcal.errors import InvalidInput
 from camcal.opencv import largest_region, resized
 

@@ -5,10 +5,10 @@ Sizes are checked before memory is allocated for one that is stated in a header 
 
 import math
 import os
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, NoReturn
 
+from camcal.dataclass import dataclass
 from camcal.errors import FileError, InvalidInput
 from camcal.options import SIZE, Option, OptionsRecord
 

@@ -6,7 +6,6 @@ not hold, or the lens ends, the model itself is asked pixel by pixel.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 
 import cv2
@@ -16,6 +15,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from camcal.arrays import Array, BoolArray, Float32Array, PixelArray, readonly
 from camcal.cameras.model import Camera
 from camcal.cameras.validity import ImageCircle
+from camcal.dataclass import dataclass, field, replace
 from camcal.errors import InvalidInput
 from camcal.images.image import Scratch
 from camcal.images.options import require_view

@@ -10,13 +10,13 @@ Sensor formats by name. The "inch" of a format refers to camera tubes, not to th
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
 from math import hypot
 from types import MappingProxyType
 
 import numpy as np
 
 from camcal.arrays import Array
+from camcal.dataclass import dataclass
 from camcal.errors import InvalidInput
 from camcal.parsing import nearest
 

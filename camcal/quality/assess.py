@@ -6,7 +6,6 @@ depend on it.
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
 from functools import partial
 from statistics import NormalDist
 
@@ -19,6 +18,7 @@ from camcal.calibrate.view_records import names_of
 from camcal.cameras.directions import lens_difference
 from camcal.cameras.spline import SplinedStereographic
 from camcal.cameras.validity import ImageCircle, folds_inside
+from camcal.dataclass import dataclass, replace
 from camcal.messages import Message, counted
 from camcal.quality.criteria import CRITERIA, KNOWN_PX, between_views, largest_tilt_deg, message
 from camcal.quality.lens_choice import better_model, other_models

@@ -3,7 +3,6 @@
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
 from math import degrees, pi
 
 import numpy as np
@@ -14,6 +13,7 @@ from camcal.calibrate.known_cameras import KnownBoard, KnownCamera, NewViews, ex
 from camcal.cameras.directions import grid_pixels
 from camcal.cameras.model import Camera, resized
 from camcal.cameras.observations import Observations
+from camcal.dataclass import dataclass, replace
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.geometry.pose import Pose
 from camcal.messages import counted

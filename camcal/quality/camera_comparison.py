@@ -5,7 +5,6 @@ points, that best undoes the difference of the two is taken out of it and of its
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
 from math import inf, sqrt
 
 import numpy as np
@@ -21,6 +20,7 @@ from camcal.cameras.directions import (
 )
 from camcal.cameras.model import Camera, resized
 from camcal.cameras.validity import ImageCircle
+from camcal.dataclass import dataclass, field, replace
 from camcal.errors import InvalidInput
 from camcal.messages import counted
 from camcal.quality.projection_uncertainty import in_polygon

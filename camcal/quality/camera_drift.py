@@ -5,7 +5,6 @@ calibration, y = A (change + error of the calibration) + noise has the covarianc
 In the coordinates in which S is the identity and A has the eigenvalues l, each y² / (l + l²) is then chi square.
 """
 
-from dataclasses import dataclass
 from math import inf, sqrt
 
 import numpy as np
@@ -14,6 +13,7 @@ from camcal.arrays import Array, BoolArray, FloatArray, readonly
 from camcal.calibrate.known_cameras import KnownCamera, NewViews, changes
 from camcal.cameras.directions import GRID, camera_axes, direction_displacements, grid_pixels
 from camcal.cameras.model import Camera
+from camcal.dataclass import dataclass
 from camcal.geometry.pose import Pose
 from camcal.quality.camera_comparison import CHANCE
 from camcal.records import Brief

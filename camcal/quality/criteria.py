@@ -6,7 +6,6 @@ focal length, board and sharpness that are not the same in all of them.
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -14,6 +13,7 @@ from camcal.calibrate.between_views import BetweenViews, Change
 from camcal.calibrate.intrinsics import Calibration
 from camcal.calibrate.refusals import tilt_spread
 from camcal.calibrate.view_records import names_of, shown_name
+from camcal.dataclass import dataclass
 from camcal.messages import Message, Value
 from camcal.quality.lens_choice import GAIN
 

@@ -6,12 +6,11 @@ X = base_T_camera and Z = hand_T_board of one beside the robot, where it is hand
 Design of Experiments, 1993 (linear criteria).
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from camcal.arrays import Array
 from camcal.cameras.directions import covariance_root
+from camcal.dataclass import dataclass
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
 from camcal.quality.view_advice import Known, SuggestedView, candidates, choose, suggest

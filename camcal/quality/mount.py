@@ -1,12 +1,12 @@
 """Whether a camera stands where it stood, by the poses of something that has not moved."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from math import sqrt
 
 import numpy as np
 
 from camcal.arrays import Array, FloatArray, readonly
+from camcal.dataclass import dataclass
 from camcal.estimate.pose_average import average_poses
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose, compose_jacobians, inverse_jacobian

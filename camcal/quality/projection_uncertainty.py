@@ -4,14 +4,13 @@ A camera's own axes are a choice of its calibration: a rotation of all direction
 what the camera measures. The rotation that best undoes a change of the parameters is therefore taken out.
 """
 
-from dataclasses import dataclass, replace
-
 import numpy as np
 
 from camcal.arrays import Array, BoolArray, FloatArray, readonly
 from camcal.cameras.directions import GRID, direction_covariances, grid_pixels, in_hull
 from camcal.cameras.model import Camera
 from camcal.cameras.validity import ImageCircle, border_pixels
+from camcal.dataclass import dataclass, replace
 from camcal.messages import Message
 from camcal.records import Brief
 

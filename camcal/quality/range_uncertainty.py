@@ -5,7 +5,6 @@ well, which the boards say, whose places are known by the same corners as the le
 puts all boards too far away: points at their distance are projected well, nearer and farther ones are not.
 """
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,6 +19,7 @@ from camcal.cameras.directions import (
     ray_displacements,
 )
 from camcal.cameras.model import Camera
+from camcal.dataclass import dataclass
 from camcal.errors import InvalidInput
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose

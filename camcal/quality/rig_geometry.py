@@ -7,7 +7,6 @@ Source: Hartley and Zisserman, Multiple View Geometry, 2nd edition, sections 5.2
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from math import inf
 from types import MappingProxyType
 from typing import NamedTuple
@@ -17,6 +16,7 @@ import numpy as np
 from camcal.arrays import Array, BoolArray, FloatArray
 from camcal.cameras.model import Camera, Rig
 from camcal.cameras.validity import ImageCircle
+from camcal.dataclass import dataclass
 from camcal.errors import InvalidInput
 from camcal.geometry.pose import Derived, Pose, point_jacobian
 from camcal.quality.range_uncertainty import ErrorSize, objects

@@ -8,7 +8,6 @@ Source: Pukelsheim, Optimal Design of Experiments, 1993 (linear criteria); Fedor
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
@@ -18,6 +17,7 @@ from camcal.cameras.directions import GRID, covariance_root, direction_displacem
 from camcal.cameras.model import Camera
 from camcal.cameras.observations import Observations
 from camcal.cameras.validity import ImageCircle
+from camcal.dataclass import dataclass
 from camcal.errors import InsufficientData
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose

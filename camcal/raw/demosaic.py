@@ -7,7 +7,6 @@ negative in memory, so they work for bare mosaics and for camera files alike.
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from io import BytesIO
 from math import inf, isfinite
 from types import MappingProxyType
@@ -16,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from camcal.arrays import Array, PixelArray
+from camcal.dataclass import dataclass
 from camcal.errors import InvalidInput
 from camcal.raw.dng import dng_bytes
 from camcal.raw.filters import bilinear, edge_aware, green, half, malvar, vng

@@ -6,7 +6,6 @@ that make gray things gray are found there. A 3 × 3 matrix leads from the colou
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -14,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from camcal.arrays import Array, BoolArray, Float32Array, PixelArray
+from camcal.dataclass import dataclass, replace
 from camcal.errors import FileError, InsufficientData, InvalidInput
 from camcal.files import read_bytes
 from camcal.parsing import parse_numbers

@@ -8,7 +8,7 @@ signal at which pixels are full.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from itertools import combinations
 from math import hypot, log, log10, sqrt
 from typing import Any, NamedTuple
@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from camcal.arrays import Array, readonly
+from camcal.dataclass import dataclass
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.messages import Message
 from camcal.raw.level import ROUNDING, SIGNIFICANT, DarkSignal, Level, before_counting, drifts, root, squared

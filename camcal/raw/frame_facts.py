@@ -10,12 +10,12 @@ the bias that noise gives to its magnitude.
 """
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from camcal.arrays import Array, readonly
+from camcal.dataclass import dataclass
 from camcal.errors import InvalidInput
 from camcal.messages import Message
 from camcal.raw.mosaic import Mosaic, channel_names, phases

@@ -1,13 +1,13 @@
 """Raw frames without a header: the layout is given, and checked against the file length."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from camcal.arrays import Array
+from camcal.dataclass import dataclass
 from camcal.errors import FileError, InvalidInput
 from camcal.raw.mosaic import require_pattern
 from camcal.raw.names import MONO, PATTERNS

@@ -5,7 +5,6 @@ the noise of dark frames, which is undone.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
 from math import hypot, sqrt
 
 import numpy as np
@@ -14,6 +13,7 @@ from scipy.optimize import least_squares
 from scipy.special import ndtr
 
 from camcal.arrays import Array, readonly
+from camcal.dataclass import dataclass
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.raw.mosaic import Mosaic, by_place, channel_names
 from camcal.raw.names import MONO, PATTERNS

@@ -4,13 +4,13 @@ A pattern is named by the letters of its first cell in reading order: RGGB has r
 it. An odd crop or a flip of the array changes the name. The cell of X-Trans has 6 × 6 letters; MONO has no filter.
 """
 
-from dataclasses import dataclass
 from math import isqrt
 from typing import Any
 
 import numpy as np
 
 from camcal.arrays import Array, FloatArray, PixelArray, readonly
+from camcal.dataclass import dataclass
 from camcal.errors import InvalidInput
 from camcal.raw.names import MONO, PATTERNS
 from camcal.records import Brief

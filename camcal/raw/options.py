@@ -1,11 +1,11 @@
 """Options of raw frames: patterns, layouts, white balance, development."""
 
 import re
-from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+from camcal.dataclass import dataclass
 from camcal.errors import InvalidInput
 from camcal.options import LENS, RAW_FRAMES, SIZE, Option, OptionsRecord, Without
 from camcal.parsing import parse_integer, parse_numbers

@@ -6,7 +6,6 @@ stages, taken backwards with the opposite shifts, pack what they unpacked. Whole
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cache
 from itertools import pairwise
 from typing import Any
@@ -15,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camcal.arrays import Array
+from camcal.dataclass import dataclass
 
 BLOCK_PIXELS = 1 << 17  # three buffers of words, 2 bytes a pixel, stay in the second cache of a core
 _BOTH_HALVES = 1 | 1 << 32

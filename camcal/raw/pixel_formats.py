@@ -6,12 +6,12 @@ Source: EMVA, Pixel Format Naming Convention 2.4; MIPI CSI-2; Linux kernel, Docu
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from camcal.arrays import Array
+from camcal.dataclass import dataclass
 from camcal.errors import InvalidInput
 from camcal.parsing import nearest
 from camcal.raw.names import ALIGNS, ENDIANS, MONO

@@ -13,7 +13,6 @@ Source: Exif 2.32 (JEITA CP-3451E), section 4.6; L. Chevalier, "Describing the C
 import hashlib
 import struct
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -21,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from camcal.arrays import Array
+from camcal.dataclass import dataclass, field, replace
 from camcal.errors import FileError, InvalidInput, Located
 from camcal.files import read_bytes
 from camcal.images import exif

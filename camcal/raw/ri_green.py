@@ -9,12 +9,12 @@ Source: Hamilton and Adams, US patent 5629734 (second differences); Kiku et al.,
 (local gains); Pekkucuksen and Altunbasak, ICIP 2010 (weights by gradients); Zhang and Wu, IEEE TIP 2005 (calming).
 """
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from camcal.arrays import Array
+from camcal.dataclass import dataclass
 from camcal.raw.tiles import (
     HERE,
     Bayer,

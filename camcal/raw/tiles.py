@@ -9,7 +9,6 @@ neighbours on a scale of 0 … 255; here is the way there from counts, and back.
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -17,6 +16,7 @@ import cv2
 import numpy as np
 
 from camcal.arrays import Array
+from camcal.dataclass import dataclass, field
 from camcal.raw.mosaic import sites
 
 Each = Callable[[Callable[[Any], None], Iterable[Any]], None]

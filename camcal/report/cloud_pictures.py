@@ -5,7 +5,6 @@ the legend of their colours. Videos are GIF for any page, MP4 for longer ones.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from io import BytesIO
 from itertools import chain
 from pathlib import Path
@@ -20,6 +19,7 @@ from matplotlib.ticker import FuncFormatter, MaxNLocator, NullLocator
 from PIL import Image
 
 from camcal.arrays import Array
+from camcal.dataclass import dataclass
 from camcal.errors import FileError, InvalidInput
 from camcal.files import replacing
 from camcal.report.cloud_scene import CloudScene, View, view_of

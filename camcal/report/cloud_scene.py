@@ -1,7 +1,7 @@
 """The points of a cloud that are shown, their attributes, and the viewpoints that they are seen from."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict
 from functools import cached_property
 from math import radians
 from typing import Any
@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from camcal.arrays import Array, readonly
+from camcal.dataclass import dataclass, replace
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.geometry.pose import rotation_of
 from camcal.parsing import parse_numbers

@@ -18,7 +18,6 @@ import os
 import sys
 import zlib
 from collections.abc import Sequence
-from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -26,6 +25,7 @@ from typing import Any
 import numpy as np
 
 from camcal.arrays import Array
+from camcal.dataclass import dataclass
 from camcal.errors import FileError, InvalidInput
 from camcal.files import replacing
 from camcal.report.cloud_scene import CloudScene, evenly, named_views, view_of

@@ -1,12 +1,12 @@
 """Colour maps: a range robust to outliers, the turbo map, and colours of points."""
 
-from dataclasses import dataclass
 from functools import cache
 
 import cv2
 import numpy as np
 
 from camcal.arrays import Array
+from camcal.dataclass import dataclass
 from camcal.errors import InvalidInput
 from camcal.report.cloud_scene import CloudScene, evenly
 

@@ -1,7 +1,6 @@
 """What `camcal handeye` says of a robot: noise, what is systematically wrong, doubtful poses; in words and as data."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +9,7 @@ import numpy as np
 from camcal.calibrate.problem import POSE
 from camcal.calibrate.robot.estimator import RobotEstimate
 from camcal.calibrate.robot.problem import SYSTEMATIC, SeenPoses
+from camcal.dataclass import dataclass
 from camcal.formats.camera_file import Transform
 from camcal.geometry import rotation as so3
 from camcal.messages import Message

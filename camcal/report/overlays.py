@@ -1,7 +1,6 @@
 """Pictures over images: poses with their axes and points, or the points found of a board in their order."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 from textwrap import wrap
 
@@ -10,6 +9,7 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.cameras.model import Camera
+from camcal.dataclass import dataclass
 from camcal.geometry.pose import Pose
 from camcal.report.colour_scale import turbo
 from camcal.targets.detection import BoardDetection

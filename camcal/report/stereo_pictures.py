@@ -1,6 +1,5 @@
 """Pictures of disparity maps and their errors with legends; of a pair and its row offsets."""
 
-from dataclasses import dataclass
 from io import BytesIO
 from typing import Any, Literal
 
@@ -17,6 +16,7 @@ from matplotlib.patches import Rectangle
 from matplotlib.ticker import MaxNLocator
 
 from camcal.arrays import Array
+from camcal.dataclass import dataclass
 from camcal.report.colour_scale import turbo_table
 from camcal.report.figures.figure import free_drawn
 from camcal.report.stereo_words import headline, line_of, verdict

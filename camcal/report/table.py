@@ -6,10 +6,11 @@ which; in full, it is continued in blocks below.
 
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
 from math import floor, isfinite, log10
 from pathlib import PurePath
 from typing import TYPE_CHECKING, Any
+
+from camcal.dataclass import dataclass, replace
 
 if TYPE_CHECKING:  # tables are shown by commands that import nothing heavy
     from camcal.quality.projection_uncertainty import KnownRegion

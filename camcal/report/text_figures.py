@@ -4,7 +4,6 @@ The letters are blocks where the encoding of a terminal has them, ASCII otherwis
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import pairwise, zip_longest
 
 import numpy as np
@@ -12,6 +11,7 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.calibrate.intrinsics import Calibration
 from camcal.cameras.validity import ImageCircle
+from camcal.dataclass import dataclass
 from camcal.quality.assess import coverage
 from camcal.report.table import number_text
 

@@ -14,12 +14,12 @@ from concurrent.futures import Future
 from concurrent.futures import TimeoutError as OutOfTime
 from contextlib import ExitStack, chdir, contextmanager
 from contextvars import ContextVar, copy_context
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 from camcal import files, system, urls
+from camcal.dataclass import dataclass
 from camcal.errors import CamcalError, FileError, InvalidInput, ItemsFailed
 from camcal.images.options import max_pixels, set_max_pixels
 from camcal.progress import Item, Outcome, Value

@@ -3,12 +3,12 @@
 import os
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
 from typing import Annotated, Any
 
 from camcal import files, system
+from camcal.dataclass import dataclass, replace
 from camcal.errors import CamcalError, InvalidInput
 from camcal.files import STANDARD
 from camcal.options import GENERAL, OUTPUT, Declared, Option, OptionsRecord, ValueType

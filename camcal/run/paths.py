@@ -11,10 +11,10 @@ import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
-from dataclasses import dataclass
 from pathlib import Path
 
 from camcal import files, system
+from camcal.dataclass import dataclass
 from camcal.errors import FileError, InvalidInput
 from camcal.images.image import RAW_SUFFIXES, conversion_advice
 from camcal.images.videos import BAG_SUFFIXES, SUFFIXES, address_of, file_of, is_video

@@ -12,11 +12,11 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from collections.abc import Set as AbstractSet
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Generic
 
 from camcal import files
+from camcal.dataclass import dataclass, field, replace
 from camcal.errors import FileError
 from camcal.files import Ledger
 from camcal.progress import SILENT, Item, Outcome, Progress, Value

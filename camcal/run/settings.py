@@ -7,11 +7,11 @@ import json
 import shlex
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from camcal import files
+from camcal.dataclass import dataclass
 from camcal.errors import CamcalError
 from camcal.formats import documents
 from camcal.formats.documents import Fault, child

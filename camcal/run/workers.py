@@ -18,7 +18,6 @@ import warnings
 from collections.abc import Callable, Generator, Iterable
 from contextlib import suppress
 from contextvars import Context
-from dataclasses import dataclass
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import ForkServerContext, SpawnContext
@@ -29,6 +28,7 @@ from typing import Any, Generic, NamedTuple
 import numpy as np
 
 from camcal import system, urls
+from camcal.dataclass import dataclass
 from camcal.errors import ItemsFailed, translated
 from camcal.progress import Item, Outcome, Value
 from camcal.run.process import STOPPING, ended_by, forks_safely, heed_parent, signals_held, worker_environment

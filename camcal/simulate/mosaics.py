@@ -4,7 +4,6 @@ Light goes in and raw counts come out, with the noise that photon transfer searc
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
 from math import hypot, isfinite
 from typing import NamedTuple
 
@@ -12,6 +11,7 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.cameras.model import Camera
+from camcal.dataclass import dataclass, field, replace
 from camcal.errors import InvalidInput
 from camcal.geometry.pose import Pose
 from camcal.raw.mosaic import require_pattern, sites

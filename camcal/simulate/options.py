@@ -1,9 +1,9 @@
 """Options of the simulated sensor."""
 
-from dataclasses import dataclass
 from math import isfinite
 from typing import Annotated
 
+from camcal.dataclass import dataclass
 from camcal.errors import InvalidInput
 from camcal.options import PERCENT, RAW_FRAMES, Option, OptionsRecord
 

@@ -13,7 +13,7 @@ calibration estimates (targets/board.py), so that a mistake in one does not hide
 """
 
 import math
-from dataclasses import astuple, dataclass
+from dataclasses import astuple
 from functools import lru_cache
 
 import numpy as np
@@ -21,6 +21,7 @@ from scipy.special import ndtr
 
 from camcal.arrays import Array, readonly
 from camcal.cameras.model import Camera
+from camcal.dataclass import dataclass
 from camcal.errors import InvalidInput
 from camcal.geometry.pose import Pose
 from camcal.targets.board import Board

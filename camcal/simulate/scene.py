@@ -5,7 +5,6 @@ where another one has it too.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
 from itertools import chain
 
 import numpy as np
@@ -13,6 +12,7 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.cameras.lens import CameraModel
 from camcal.cameras.model import Camera, Rig
+from camcal.dataclass import dataclass, replace
 from camcal.errors import InvalidInput
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose

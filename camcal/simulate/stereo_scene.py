@@ -11,7 +11,7 @@ lies on it: that is exact for edges of even surfaces.
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from functools import lru_cache
 
 import numpy as np
@@ -19,6 +19,7 @@ import numpy as np
 from camcal.arrays import Array, readonly
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
+from camcal.dataclass import dataclass
 from camcal.errors import InvalidInput
 from camcal.geometry.pose import Pose
 from camcal.simulate.render import REACH, spread

@@ -1,12 +1,12 @@
 """Surfaces of stereo scenes: planar facets and balls, their intersections with rays, and their textures."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from scipy import ndimage
 
 from camcal.arrays import Array, readonly
+from camcal.dataclass import dataclass
 
 NOTHING = -1
 

@@ -4,12 +4,12 @@ Their textures have many scales, edges, weak areas, and some are periodic.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from camcal.arrays import Array
+from camcal.dataclass import dataclass
 from camcal.geometry import rotation as so3
 from camcal.simulate.stereo_surfaces import Ball, Facet, Paint, Surface
 

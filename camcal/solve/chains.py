@@ -7,12 +7,12 @@ proportional to their number; what is left is the Schur complement of the shared
 Source: Furgale, Barfoot, Sibley, Continuous-time batch estimation using temporal basis functions, ICRA 2012.
 """
 
-from dataclasses import dataclass, replace
 from typing import Generic, TypeVar
 
 import numpy as np
 
 from camcal.arrays import Array
+from camcal.dataclass import dataclass, replace
 from camcal.solve.descent import STOPPING, Stopping, descend
 from camcal.solve.least_squares import Problem, assemble
 from camcal.solve.steps import NormalEquations, SingularError, Step

@@ -7,7 +7,6 @@ Least-Squares Minimization, 2012 (geodesic acceleration).
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import product
 from typing import Generic, TypeVar
@@ -15,6 +14,7 @@ from typing import Generic, TypeVar
 import numpy as np
 
 from camcal.arrays import Array
+from camcal.dataclass import dataclass, field, replace
 from camcal.solve.descent import STOPPING, Descent, Observer, Stopping, descend, gauss_newton, unobserved
 from camcal.solve.least_squares import Problem
 from camcal.solve.steps import Block, SingularError, Step

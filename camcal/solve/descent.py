@@ -7,11 +7,11 @@ Source: Marquardt 1963 (scaling of the damping); Nielsen, Damping Parameter in M
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any, Generic, Protocol, TypeAlias, TypeVar
 
 import numpy as np
 
+from camcal.dataclass import dataclass
 from camcal.solve.steps import SingularError, Step
 
 State = TypeVar("State")

@@ -5,11 +5,11 @@ A function on a manifold is differentiated as a function of the step: `lambda d:
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
 from camcal.arrays import Array
+from camcal.dataclass import dataclass
 
 Function = Callable[[Array], Array]
 

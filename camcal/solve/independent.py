@@ -7,12 +7,12 @@ Source: as descent.py.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
 from camcal.arrays import Array
+from camcal.dataclass import dataclass
 from camcal.solve.descent import (
     ALL_BUT_FULL,
     EXACT,

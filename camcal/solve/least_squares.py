@@ -4,13 +4,13 @@ The equations are summed up in arrow form: group by group, and what all of them 
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Generic, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
 from camcal.arrays import Array
+from camcal.dataclass import dataclass, replace
 from camcal.solve.descent import STOPPING, Observer, Stopping, descend, unobserved
 from camcal.solve.steps import Block, Factors, Jacobian, NormalEquations, Step, factorise
 

@@ -1,13 +1,13 @@
 """Robust losses ρ(s) of the squared, whitened residual s; ρ(s) = s is least squares."""
 
 import math
-from dataclasses import dataclass
 from statistics import NormalDist
 from typing import Protocol
 
 import numpy as np
 
 from camcal.arrays import Array
+from camcal.dataclass import dataclass
 
 
 class Loss(Protocol):

@@ -10,12 +10,12 @@ factor takes time proportional to K; nothing is inverted as a whole.
 Source: Rue and Held, Gaussian Markov Random Fields, 2005, section 2.4.
 """
 
-from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
 from camcal.arrays import Array
+from camcal.dataclass import dataclass, field, replace
 from camcal.solve.losses import Loss
 
 _SMALL = 24  # rows of a triangle that is inverted as a whole

@@ -7,7 +7,6 @@ axis) and an angle λ off the plane perpendicular to it. A picture shows λ or w
 lines, φ or Y / Z across them.
 """
 
-from dataclasses import dataclass
 from enum import IntEnum
 from typing import NamedTuple
 
@@ -16,6 +15,7 @@ from numpy.typing import NDArray
 
 from camcal.arrays import Array, Float32Array, FloatArray, readonly
 from camcal.cameras.model import Camera
+from camcal.dataclass import dataclass
 from camcal.errors import InvalidInput
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose

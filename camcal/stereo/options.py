@@ -1,9 +1,9 @@
 """Options of stereo matching."""
 
-from dataclasses import dataclass
 from math import isfinite
 from typing import Annotated
 
+from camcal.dataclass import dataclass
 from camcal.errors import InvalidInput
 from camcal.images.options import require_view
 from camcal.options import SIZE, Option, OptionsRecord, ValueType, separated

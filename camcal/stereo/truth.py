@@ -6,12 +6,12 @@ whether the pixels that a matcher calls uncertain are the ones that are wrong.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from camcal.arrays import Array, readonly
+from camcal.dataclass import dataclass, replace
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.stereo.disparity import Confidence, StereoGeometry
 from camcal.stereo.points.frames import StereoImage

@@ -10,12 +10,12 @@ as the border of a tag, behind which its bits begin, and as deep as the gap else
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
 from itertools import islice
 
 import numpy as np
 
 from camcal.arrays import Array
+from camcal.dataclass import dataclass, replace
 from camcal.targets.board import Board
 from camcal.targets.board_types import TAG_BORDER
 from camcal.targets.checker.checker import CONTRAST, NodeMeasurements, measure_saddles

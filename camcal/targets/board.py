@@ -11,12 +11,13 @@ terms are the ones a camera's scale and skew could be mistaken for.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import fields
 from functools import cached_property, lru_cache
 
 import numpy as np
 
 from camcal.arrays import Array, FloatArray, IntArray, readonly
+from camcal.dataclass import dataclass, field, replace
 from camcal.errors import InvalidInput
 from camcal.records import Brief
 from camcal.targets.board_types import (

@@ -5,11 +5,10 @@ p, r from a middle near the image's (the division model, Fitzgibbon 2001), which
 leave is a polynomial in the board's plane of as high a degree as the points allow.
 """
 
-from dataclasses import dataclass, replace
-
 import numpy as np
 
 from camcal.arrays import Array
+from camcal.dataclass import dataclass, replace
 
 _LEAST_SIZE = 1e-12  # of points that lie in one place, so that nothing is divided by 0
 

@@ -5,12 +5,12 @@ it is from those of one board.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
 from camcal.arrays import Array, FloatArray, IntArray
+from camcal.dataclass import dataclass, field, replace
 from camcal.errors import InvalidInput
 from camcal.targets.board import Board, Surface, bare_term, basis
 from camcal.targets.board_types import APRILGRID, CHARUCO, unchanged

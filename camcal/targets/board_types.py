@@ -7,12 +7,12 @@ one word for the command line, such as chessboard:9x6:25mm.
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from camcal.arrays import Array, readonly
+from camcal.dataclass import dataclass
 from camcal.errors import InvalidInput
 from camcal.parsing import nearest, parse_number
 

@@ -15,13 +15,13 @@ ellipse is fitted to it as one was to the image, and its distance from the image
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial import KDTree
 
 from camcal import opencv
 from camcal.arrays import Array
+from camcal.dataclass import dataclass, replace
 from camcal.targets.board import ASYMMETRIC_CIRCLES, CIRCLES, LARGEST, Board
 from camcal.targets.board_map import BoardMap, map_of
 from camcal.targets.board_types import grid_points, staggered

@@ -7,12 +7,12 @@ which way it was turned; see tasks/calibration/mixed_sizes.py.
 """
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from camcal.arrays import Array, FloatArray, IntArray, readonly
 from camcal.cameras.validity import ImageCircle
+from camcal.dataclass import dataclass, field, replace
 from camcal.messages import counted
 from camcal.records import Brief
 from camcal.targets.board import Board

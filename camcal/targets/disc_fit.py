@@ -12,11 +12,10 @@ it. The mean is taken at ε = 0 and ± √3 (the Gauss-Hermite rule of three poi
 sides of the centre, so that what it leaves out, the rim's change of curvature, does not move that.
 """
 
-from dataclasses import dataclass, replace
-
 import numpy as np
 
 from camcal.arrays import Array
+from camcal.dataclass import dataclass, replace
 from camcal.solve.descent import Stopping
 from camcal.solve.independent import Models, Trial, minimise_each
 from camcal.targets.ellipses import Ellipses, neighbours, picture, rim

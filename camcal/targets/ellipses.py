@@ -7,7 +7,6 @@ of indices of ellipses, -1 where none, right-handed: columns turn clockwise to r
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -15,6 +14,7 @@ from scipy.spatial import KDTree
 from scipy.special import ndtr
 
 from camcal.arrays import Array
+from camcal.dataclass import dataclass
 from camcal.targets.checker import proposals as grids
 
 _LEAST_POINTS = 8  # of an outline

@@ -17,11 +17,11 @@ marker's side, for what is not quite radial. All of them vanish at the corners.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 
 import numpy as np
 
 from camcal.arrays import Array
+from camcal.dataclass import dataclass, replace
 from camcal.solve.descent import Stopping
 from camcal.solve.least_squares import Solution, minimise
 from camcal.solve.losses import Huber

@@ -7,12 +7,12 @@ of markers are found: clockwise from its top-left as printed.
 import re
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
 
 from camcal.arrays import Array, FloatArray, IntArray, readonly
+from camcal.dataclass import dataclass, field
 from camcal.errors import InvalidInput
 from camcal.messages import Message
 from camcal.targets.marker_fit import MarkerFit, fit_marker, looks_alike

@@ -10,7 +10,6 @@ import re
 import struct
 import zlib
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 from xml.sax.saxutils import escape
 
@@ -18,6 +17,7 @@ import cv2
 import numpy as np
 
 from camcal.arrays import Array, readonly
+from camcal.dataclass import dataclass
 from camcal.errors import InvalidInput
 
 MM_PER_INCH = 25.4

@@ -6,11 +6,11 @@ a board is black and white rectangles, and discs.
 """
 
 import re
-from dataclasses import dataclass, field
 
 import numpy as np
 
 from camcal.arrays import Array, readonly
+from camcal.dataclass import dataclass, field
 from camcal.errors import InvalidInput
 from camcal.opencv import marker_dictionary
 from camcal.parsing import nearest

@@ -6,12 +6,12 @@ footer below a board is a ruler to check the print with, and what the board is.
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from camcal.arrays import Array, readonly
+from camcal.dataclass import dataclass
 from camcal.errors import InvalidInput
 from camcal.targets.board import Board
 from camcal.targets.board_types import FORMS

@@ -12,7 +12,6 @@ a shape before a bit is read, and all bits of the group decide together where on
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from functools import cache
 
 import cv2
@@ -22,6 +21,7 @@ from scipy.sparse.csgraph import breadth_first_order, connected_components
 
 from camcal import opencv
 from camcal.arrays import Array, readonly
+from camcal.dataclass import dataclass
 from camcal.targets.board import Board
 from camcal.targets.board_types import TAG_BORDER
 from camcal.targets.pattern import family_named

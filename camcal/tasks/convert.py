@@ -2,13 +2,13 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from camcal import files
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.refit import Refit
+from camcal.dataclass import dataclass, replace
 from camcal.errors import InvalidInput
 from camcal.formats import cameras, provenance
 from camcal.formats.addresses import split_address

@@ -1,9 +1,9 @@
 """The options of `camcal convert`."""
 
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
+from camcal.dataclass import dataclass, field
 from camcal.options import INPUT, OUTPUT, Argument, Option, OptionsRecord, Without, Written
 from camcal.tasks.options import CAMERA_SUFFIXES, FIGURES, CameraName, GivenCamera, Overwrite
 from camcal.tasks.suggestions import camera_formats, format_names, lens_model_names, lens_models

@@ -3,10 +3,10 @@
 import os
 import platform
 import re
-from dataclasses import dataclass
 from importlib import metadata
 
 from camcal import __version__
+from camcal.dataclass import dataclass
 from camcal.messages import Message
 from camcal.run.process import available_cores
 

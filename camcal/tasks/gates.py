@@ -1,9 +1,9 @@
 """What a camera file has to state of a camera: gates that need no images."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated
 
+from camcal.dataclass import dataclass
 from camcal.messages import Message
 from camcal.options import CHECKS, PERCENT, Option, OptionsRecord
 

@@ -6,7 +6,6 @@ on them, so that an array and a file with the same pixels give the same numbers.
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, field, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -15,6 +14,7 @@ import numpy as np
 from camcal.arrays import Array, FloatArray, PixelArray, require_shape
 from camcal.calibrate.rigs.record import Captures
 from camcal.cameras.model import Camera
+from camcal.dataclass import dataclass, field, replace
 from camcal.errors import InvalidInput
 from camcal.formats import cameras, native
 from camcal.formats.boards import load_board

@@ -1,9 +1,9 @@
 """At which distances something is asked of a camera: options that commands share."""
 
-from dataclasses import dataclass
 from math import degrees, inf, radians
 from typing import Annotated
 
+from camcal.dataclass import dataclass
 from camcal.errors import InvalidInput
 from camcal.options import NUMBER, Option, OptionsRecord, ValueType
 from camcal.parsing import parse_number

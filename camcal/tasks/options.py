@@ -4,10 +4,10 @@ No module of options imports the core: a command knows its options before it run
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
+from camcal.dataclass import dataclass
 from camcal.errors import InvalidInput
 from camcal.options import (
     BOARD,

@@ -6,7 +6,6 @@ What a file is follows from its suffix and its content.
 import re
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -15,6 +14,7 @@ import numpy as np
 
 from camcal import files
 from camcal.arrays import Array
+from camcal.dataclass import dataclass, replace
 from camcal.errors import FileError, InsufficientData, InvalidInput
 from camcal.formats import cameras, detections, detections_text, disparity, poses, trajectories
 from camcal.formats import series as series_files

@@ -1,9 +1,9 @@
 """The options of `camcal inspect` and `camcal plot`, which show what files hold."""
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
+from camcal.dataclass import dataclass
 from camcal.options import INPUT, OUTPUT, Argument, Option, OptionsRecord, Written
 from camcal.raw.options import NO_LAYOUT, GivenLayout
 from camcal.tasks.gates import NO_GATES, CameraGates

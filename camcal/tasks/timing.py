@@ -1,9 +1,9 @@
 """When frames were taken: options that commands share."""
 
 import math
-from dataclasses import dataclass
 from typing import Annotated
 
+from camcal.dataclass import dataclass
 from camcal.errors import InvalidInput
 from camcal.options import INPUT, Option, OptionsRecord
 

@@ -1,7 +1,6 @@
 """Calibration of the cameras of a rig from captures of a board."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
 from itertools import combinations
 from types import MappingProxyType
 
@@ -23,6 +22,7 @@ from camcal.calibrate.rigs.placement import PlacedRig, Rows, groups_of, place_ri
 from camcal.calibrate.rigs.problem import LensPrior
 from camcal.calibrate.rigs.record import FIXED, PRIOR, Captures, ExposureMotion, RigCalibration, RigOptions
 from camcal.calibrate.rigs.start import RigStart
+from camcal.dataclass import dataclass, field, replace
 from camcal.errors import CamcalError, InsufficientData, InvalidInput, NotConverged
 from camcal.geometry.pose import Pose
 from camcal.messages import Message

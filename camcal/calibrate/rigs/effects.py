@@ -7,7 +7,6 @@ edge of the board by as much, in its unit.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -15,6 +14,7 @@ from camcal.arrays import Array
 from camcal.calibrate.effects import EFFECTS, FLEX, SHARE_DOF, Effect, EffectColumns, EffectScales, radius
 from camcal.calibrate.problem import POSE, State
 from camcal.calibrate.rigs.problem import RigProblem
+from camcal.dataclass import dataclass, replace
 from camcal.geometry import rotation as so3
 from camcal.targets.board import Board
 

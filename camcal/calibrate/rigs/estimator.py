@@ -5,7 +5,6 @@ linear in all cameras together. See calibrate/estimator.py for what the passes h
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -27,6 +26,7 @@ from camcal.calibrate.shape import (
     scales_towards,
     spent_by_block,
 )
+from camcal.dataclass import dataclass, replace
 from camcal.solve.least_squares import assemble
 from camcal.solve.steps import Block, Factors, NormalEquations, Step, factorise, lowest_along
 

@@ -1,7 +1,6 @@
 """The rig from start to solution: single cameras, links, estimates of all cameras and their average."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -30,6 +29,7 @@ from camcal.calibrate.shape import hold_to_print
 from camcal.cameras.lens import CameraModel
 from camcal.cameras.model import Camera
 from camcal.cameras.refit import refit
+from camcal.dataclass import dataclass, replace
 from camcal.errors import InsufficientData
 from camcal.geometry import rotation as so3
 from camcal.solve.descent import Stopping

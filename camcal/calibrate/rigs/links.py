@@ -11,7 +11,6 @@ apart; a flat one fits either way.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,6 +18,7 @@ from camcal.arrays import Array
 from camcal.calibrate.initialise import MARGIN, looks_the_same, symmetry_motion, view_costs
 from camcal.calibrate.noise import CUT
 from camcal.calibrate.rigs.problem import RigProblem, RigState
+from camcal.dataclass import dataclass, replace
 from camcal.geometry import rotation as so3
 from camcal.solve.descent import Stopping
 from camcal.solve.least_squares import minimise

@@ -1,12 +1,12 @@
 """What is known of boards beforehand, beside their drawings: where one stands against another, distances of points."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from camcal.arrays import Array
 from camcal.calibrate.problem import POSE
+from camcal.dataclass import dataclass
 from camcal.errors import InsufficientData
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose, retract

@@ -7,7 +7,6 @@ A change of the relative pose itself is looked for in the order of the captures.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -17,6 +16,7 @@ from camcal.calibrate.initialise import poses_from_pixels, thinned
 from camcal.calibrate.problem import BoardProblem
 from camcal.calibrate.rigs.links import CameraPoses, Link, link, motions, outline
 from camcal.calibrate.rigs.series import SEVERAL, largest_step, mirrored, robust_scale
+from camcal.dataclass import dataclass, replace
 from camcal.errors import InsufficientData
 from camcal.geometry import rotation as so3
 from camcal.messages import Message, Value, counted

@@ -1,7 +1,6 @@
 """What links cameras to each other, and how well each link alone says where they stand."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import combinations, product
 
 import numpy as np
@@ -11,6 +10,7 @@ from camcal.calibrate.problem import POSE
 from camcal.calibrate.rigs.fit import RigFit
 from camcal.calibrate.robot.problem import by_factors, by_inverse
 from camcal.calibrate.robot.start import Poses
+from camcal.dataclass import dataclass
 from camcal.geometry.camera_links import CameraLink
 
 _HELD = 1e-12  # m² and rad², so that views without noise have an inverse

@@ -7,7 +7,6 @@ them, as of a hand and an eye. That leaves open what a motion about one axis lea
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
@@ -18,6 +17,7 @@ from camcal.calibrate.rigs.measured import BoardPoses, KnownRelation, contradict
 from camcal.calibrate.rigs.record import Captures
 from camcal.calibrate.robot.reading import undetermined_axis
 from camcal.calibrate.robot.start import Poses, centre, closed_form
+from camcal.dataclass import dataclass
 from camcal.errors import InsufficientData
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose

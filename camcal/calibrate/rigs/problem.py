@@ -8,7 +8,6 @@ views. The rig's frame is the first camera's.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -16,6 +15,7 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.calibrate.problem import POSE, BoardProblem, Derivatives, State
 from camcal.calibrate.rigs.measured import BoardPoses, Measured, measured_blocks
+from camcal.dataclass import dataclass, field, replace
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import retract
 from camcal.solve.least_squares import assemble, part_of

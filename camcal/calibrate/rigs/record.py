@@ -1,7 +1,6 @@
 """Captures of a board by the cameras of a rig, how to calibrate from them, and the result."""
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,6 +11,7 @@ from camcal.calibrate.intrinsics import Calibration
 from camcal.calibrate.rigs.measured import Measured
 from camcal.cameras.lens import CameraModel
 from camcal.cameras.model import Camera
+from camcal.dataclass import dataclass, field, replace
 from camcal.errors import InvalidInput
 from camcal.geometry.camera_links import CameraLink
 from camcal.geometry.pose import Pose

@@ -1,7 +1,6 @@
 """Where the estimate of a rig starts: lenses of the cameras alone, and poses as links place them."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,6 +11,7 @@ from camcal.calibrate.rigs.measured import Measured
 from camcal.calibrate.rigs.placement import PlacedRig
 from camcal.calibrate.rigs.problem import LensPrior, RigProblem, RigState
 from camcal.calibrate.shape import first_scales, with_priors
+from camcal.dataclass import dataclass, replace
 from camcal.geometry import rotation as so3
 from camcal.targets.board import SCALE, terms_of
 

@@ -7,7 +7,6 @@ Source: Patterson & Thompson, Biometrika 58, 1971; Lange, Little & Taylor, JASA 
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -17,6 +16,7 @@ from camcal.calibrate.problem import POSE
 from camcal.calibrate.rigs.problem import RigProblem
 from camcal.calibrate.robot.problem import LEAST_STD, OWN, SYSTEMATIC, RobotPoses, RobotProblem, RobotState, SeenPoses
 from camcal.calibrate.robot.start import HandEye, Poses
+from camcal.dataclass import dataclass, field, replace
 from camcal.errors import InsufficientData
 from camcal.geometry.pose import Pose
 from camcal.solve.descent import Stopping

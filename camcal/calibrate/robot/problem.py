@@ -7,7 +7,6 @@ the hand sees it. In the place of a rig's corners there may be poses of the boar
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -15,6 +14,7 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.calibrate.problem import POSE
 from camcal.calibrate.robot.start import Poses
+from camcal.dataclass import dataclass, field, replace
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import retract
 from camcal.solve.least_squares import Problem

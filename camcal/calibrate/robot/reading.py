@@ -6,12 +6,12 @@ that has moved, and a hand that turned about one axis only are told from it as w
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
 
 import numpy as np
 
 from camcal.arrays import Array
 from camcal.calibrate.robot.start import HandEye, Poses, angle_mismatch, closed_form, motions, pairs_of, turn_angles
+from camcal.dataclass import dataclass, replace
 from camcal.geometry import rotation as so3
 
 LEAST_POSES = 5

@@ -6,11 +6,10 @@ are conjugate, A X = X B: turned by the same angle, about axes that X takes into
 Transactions on Robotics and Automation, 1994). All steps are reweighted, so that a few wrong poses do not matter.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from camcal.arrays import Array
+from camcal.dataclass import dataclass
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
 

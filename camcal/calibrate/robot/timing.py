@@ -1,11 +1,10 @@
 """A robot's poses over time, at the moments of images by another clock."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from camcal.arrays import Array
 from camcal.calibrate.robot.start import Poses, angle_mismatch
+from camcal.dataclass import dataclass
 from camcal.geometry import rotation as so3
 
 _LATEST = 2.0  # s, by which two clocks are taken to differ at most

@@ -1,7 +1,6 @@
 """When cameras took their images, from calibrations of each alone, and their views as of one moment each."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,6 +10,7 @@ from camcal.calibrate.timing.estimator import TimeEstimate, estimate_times
 from camcal.calibrate.timing.problem import OFFSET, RATE, READOUT, TimedCorners
 from camcal.calibrate.timing.record import CameraTime, TimeCalibration
 from camcal.calibrate.timing.start import Alignment, Track, place_tracks
+from camcal.dataclass import dataclass, replace
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.messages import Message, counted
 from camcal.solve.steps import SingularError

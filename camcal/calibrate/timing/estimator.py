@@ -7,7 +7,6 @@ the recording says.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,6 +15,7 @@ from camcal.calibrate.problem import POSE
 from camcal.calibrate.timing.problem import OFFSET, RATE, READOUT, TimedCorners, TimeProblem, TimeState, with_weights
 from camcal.calibrate.timing.spline import Knots, motion_through
 from camcal.calibrate.timing.start import Alignment, Track
+from camcal.dataclass import dataclass, replace
 from camcal.solve.chains import ChainFactors, ChainSolution, minimise_chain
 from camcal.solve.descent import Stopping
 from camcal.solve.losses import Cauchy

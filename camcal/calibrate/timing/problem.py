@@ -8,7 +8,6 @@ poses.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -19,6 +18,7 @@ from camcal.calibrate.rigs.problem import AXES
 from camcal.calibrate.timing.spline import Moments, Motion, cross
 from camcal.cameras.lens import CameraModel
 from camcal.cameras.observations import by_pose, linearised
+from camcal.dataclass import dataclass, replace
 from camcal.geometry.pose import retract
 from camcal.solve.chains import WIDTH
 from camcal.solve.losses import Loss

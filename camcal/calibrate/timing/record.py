@@ -1,12 +1,12 @@
 """Times of cameras, and views as they would be had all rows been taken at one moment."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
 
 import numpy as np
 
 from camcal.arrays import Array, FloatArray
 from camcal.calibrate.timing.estimator import TimeEstimate
+from camcal.dataclass import dataclass, replace
 from camcal.messages import Message
 from camcal.records import Brief
 from camcal.targets.detection import BoardDetection

@@ -6,11 +6,10 @@ R ← Exp(δr) R. Quaternions are w x y z; adjacent nodes have the same sign.
 Source: de Boor, A Practical Guide to Splines, 2001.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from camcal.arrays import Array
+from camcal.dataclass import dataclass
 from camcal.geometry import rotation as so3
 from camcal.solve.chains import WIDTH
 

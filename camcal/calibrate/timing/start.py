@@ -7,12 +7,12 @@ repeats itself has several.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 
 import numpy as np
 
 from camcal.arrays import Array
 from camcal.calibrate.rigs.links import CameraPoses, Link, link, motions
+from camcal.dataclass import dataclass, replace
 from camcal.geometry import rotation as so3
 from camcal.targets.board import Board
 

@@ -1,11 +1,11 @@
 """A curve: a formula for a measured value or for the distance of a point from a shape; the quality of a fit."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 
 import numpy as np
 
 from camcal.arrays import Array, BoolArray, FloatArray
+from camcal.dataclass import dataclass, field
 from camcal.estimate.curves.expressions import Expression, parse
 from camcal.records import Brief
 

@@ -9,11 +9,11 @@ import ast
 import math
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from camcal.arrays import Array, FloatArray
+from camcal.dataclass import dataclass
 from camcal.errors import InvalidInput
 from camcal.parsing import did_you_mean
 

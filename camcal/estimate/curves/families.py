@@ -6,11 +6,11 @@ no direction is out of reach.
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 
 import numpy as np
 
 from camcal.arrays import Array
+from camcal.dataclass import dataclass
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.estimate.curves.curve import Columns, Curve
 

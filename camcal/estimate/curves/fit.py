@@ -7,11 +7,11 @@ Selection and Multimodel Inference, 2nd ed. 2002, sections 2.2 and 2.4 (AIC, AIC
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
 
 import numpy as np
 
 from camcal.arrays import Array
+from camcal.dataclass import dataclass, replace
 from camcal.estimate.curves.curve import Curve, CurveFit, Data, Estimate, Goodness
 from camcal.estimate.curves.search import CurveProblem, Observe, Search, SearchOptions, covariance_factor, search
 from camcal.solve.dense import (

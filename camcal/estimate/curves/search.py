@@ -1,11 +1,11 @@
 """The search for the best fit of a curve: its residuals as a problem, restarts, and losses for data with outliers."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from camcal.arrays import Array
+from camcal.dataclass import dataclass, field, replace
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.estimate.curves.curve import Curve, Data, predictions, predictions_with_jacobian
 from camcal.records import Brief

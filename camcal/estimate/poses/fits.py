@@ -1,12 +1,12 @@
 """Fits of groups of views: to all points, or to inliers."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from functools import reduce
 
 import numpy as np
 
 from camcal.arrays import Array
+from camcal.dataclass import dataclass, replace
 from camcal.estimate.poses import states as se3
 from camcal.estimate.poses.inliers import (
     KEPT_VARIANCE,

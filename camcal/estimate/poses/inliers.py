@@ -1,11 +1,11 @@
 """Robust poses: alternating inlier selection and refinement until both are consistent."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
 
 import numpy as np
 
 from camcal.arrays import Array
+from camcal.dataclass import dataclass, replace
 from camcal.estimate.poses import states as se3
 from camcal.estimate.poses.problem import PoseProblems, different, distinct, firsts, inverses, lowest
 from camcal.estimate.poses.states import NEAR_PLANE, Extents

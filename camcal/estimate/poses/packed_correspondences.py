@@ -4,7 +4,6 @@ Views are grouped by the arrays they share; what keeps a view from having a pose
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -20,6 +19,7 @@ from camcal.cameras.observations import (
     whitened,
     whitening_of,
 )
+from camcal.dataclass import dataclass, replace
 from camcal.estimate.poses import states as se3
 from camcal.estimate.poses.records import Correspondences
 from camcal.estimate.poses.states import Extents

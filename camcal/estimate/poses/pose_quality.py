@@ -11,13 +11,13 @@ equal where the pixels are linear. Source: Tierney & Kadane, JASA 1986 (marginal
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from math import exp, lgamma, log
 from typing import NamedTuple
 
 import numpy as np
 
 from camcal.arrays import Array
+from camcal.dataclass import dataclass
 from camcal.estimate.poses import states as se3
 from camcal.estimate.poses.inliers import InlierCriterion
 from camcal.estimate.poses.problem import PoseProblems, inverses, lowest

@@ -4,11 +4,11 @@ From every start the lowest of each valley is refined; a plane has a second pose
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
 
 import numpy as np
 
 from camcal.arrays import Array
+from camcal.dataclass import dataclass, replace
 from camcal.estimate.poses import states as se3
 from camcal.estimate.poses.packed_correspondences import PackedCorrespondences
 from camcal.estimate.poses.starts import starts

@@ -1,11 +1,11 @@
 """Input and output records of pose estimation."""
 
-from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
 from camcal.arrays import Array, BoolArray, FloatArray, IntArray, readonly
+from camcal.dataclass import dataclass, replace
 from camcal.errors import InvalidInput
 from camcal.geometry.pose import Pose, carried, inverse_jacobian
 from camcal.records import Brief

@@ -6,11 +6,10 @@ Sources: Torr & Zisserman, MLESAC, 2000 (the truncated error as score, here of p
 Kittler, Locally Optimized RANSAC, DAGM 2003.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from camcal.arrays import Array
+from camcal.dataclass import dataclass
 from camcal.estimate.poses import states as se3
 from camcal.estimate.poses.inliers import InlierCriterion, RefitPoses, refit_inliers
 from camcal.estimate.poses.problem import PoseProblems

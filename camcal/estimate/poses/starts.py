@@ -13,13 +13,13 @@ here with a homogeneous cubic, so that no member of the pencil is at infinity.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
 
 from camcal.arrays import Array
 from camcal.cameras.observations import planar_poses
+from camcal.dataclass import dataclass
 from camcal.estimate.poses import states as se3
 from camcal.estimate.poses.packed_correspondences import PackedCorrespondences
 from camcal.estimate.poses.states import IN_PLANE, NEAR_PLANE, Extents

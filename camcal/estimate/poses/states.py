@@ -4,11 +4,11 @@ The spread says which other pose a plane is mistaken for.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from camcal.arrays import Array
+from camcal.dataclass import dataclass
 from camcal.geometry import pose as se3
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose

@@ -7,11 +7,10 @@ as consistent as its noise claims.
 Source: Barfoot, State Estimation for Robotics, 2017, section 3.2; Rue and Held, Gaussian Markov Random Fields, 2005.
 """
 
-from dataclasses import dataclass, replace
-
 import numpy as np
 
 from camcal.arrays import Array, BoolArray, FloatArray
+from camcal.dataclass import dataclass, replace
 from camcal.errors import InsufficientData, InvalidInput, NotConverged
 from camcal.estimate.smoothing.kalman import Consistency, consistency, gate, successive
 from camcal.estimate.smoothing.linear_system import Filtered, LinearSystem, kalman_filter, rts

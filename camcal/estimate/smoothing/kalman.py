@@ -11,11 +11,11 @@ Source: Bar-Shalom, Li, Kirubarajan, Estimation with Applications to Tracking an
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
 
 import numpy as np
 
 from camcal.arrays import Array, FloatArray, readonly
+from camcal.dataclass import dataclass, replace
 from camcal.errors import InvalidInput
 from camcal.messages import Message
 from camcal.records import Brief

@@ -13,7 +13,6 @@ Source: Bar-Shalom, Li, Kirubarajan 2001, ch. 5, 6.2 (continuous), 6.3 (discrete
 Tung, Striebel).
 """
 
-from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 from math import factorial
@@ -21,6 +20,7 @@ from math import factorial
 import numpy as np
 
 from camcal.arrays import Array, FloatArray, readonly
+from camcal.dataclass import dataclass, replace
 from camcal.errors import InsufficientData
 from camcal.estimate.smoothing.kalman import Gaussian, Updated, predict, smooth_back, update
 

@@ -10,12 +10,12 @@ Solà, Quaternion kinematics for the error-state Kalman filter, 2017.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
 from math import factorial
 
 import numpy as np
 
 from camcal.arrays import Array
+from camcal.dataclass import dataclass, field, replace
 from camcal.errors import InsufficientData, NotConverged
 from camcal.estimate.smoothing.batch import (
     MeasurementFit,

@@ -4,11 +4,11 @@ Noise that is not known is estimated by maximum likelihood, for poses as well.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from camcal.arrays import Array, FloatArray, readonly
+from camcal.dataclass import dataclass, field, replace
 from camcal.errors import InsufficientData, InvalidInput, NotConverged
 from camcal.estimate.smoothing.batch import (
     BatchSolution,

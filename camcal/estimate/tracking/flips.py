@@ -6,11 +6,10 @@ around them, and kept where they explain all pixels better. What explains them n
 exp(-Δ/2).
 """
 
-from dataclasses import dataclass, replace
-
 import numpy as np
 
 from camcal.arrays import Array
+from camcal.dataclass import dataclass, replace
 from camcal.estimate.tracking.frames import frame_minima
 from camcal.estimate.tracking.measurements import ObjectPlane
 from camcal.estimate.tracking.motion import MotionState

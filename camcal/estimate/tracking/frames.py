@@ -6,7 +6,7 @@ plus χ² of the step from the expected pose is descended, to begin with as if w
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields
 from typing import ClassVar, NamedTuple, Self
 
 import numpy as np
@@ -14,6 +14,7 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.cameras.model import Camera
 from camcal.cameras.observations import Observations
+from camcal.dataclass import dataclass, replace
 from camcal.estimate.poses.problem import Anchor
 from camcal.estimate.poses.records import Correspondences
 from camcal.estimate.poses.states import retract, stacked, steps_from

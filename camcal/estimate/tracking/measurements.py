@@ -4,13 +4,13 @@ A frame allows several poses where a plane leaves a doubt: the one seen is refle
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol
 
 import numpy as np
 
 from camcal.arrays import Array, FloatArray, readonly
+from camcal.dataclass import dataclass
 from camcal.errors import InvalidInput
 from camcal.estimate.poses.records import Alternative
 from camcal.estimate.smoothing.kalman import gate

@@ -7,12 +7,12 @@ Source: Bar-Shalom, Li, Kirubarajan, Estimation with Applications to Tracking an
 (white-noise acceleration) and 8.2 (Singer 1970: accelerations that fade with a time constant).
 """
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from camcal.arrays import Array
+from camcal.dataclass import dataclass
 from camcal.estimate.poses.states import rotation_vectors
 from camcal.geometry import rotation as so3
 

@@ -7,12 +7,12 @@ Source: Barfoot, State Estimation for Robotics, 2017, sections 4.3 and 5.3; MacK
 from the evidence).
 """
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from camcal.arrays import Array
+from camcal.dataclass import dataclass
 from camcal.errors import InsufficientData
 from camcal.estimate.tracking.frames import FrameCosts
 from camcal.estimate.tracking.motion import POSE, FreeMotion, MotionState, difference

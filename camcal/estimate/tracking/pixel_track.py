@@ -5,12 +5,12 @@ along it (Rauch, Tung, Striebel 1965).
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 
 import numpy as np
 
 from camcal.arrays import Array
 from camcal.cameras.model import Camera
+from camcal.dataclass import dataclass, replace
 from camcal.errors import InsufficientData
 from camcal.estimate.poses.records import Correspondences
 from camcal.estimate.tracking import hypotheses, process_noise

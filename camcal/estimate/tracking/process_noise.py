@@ -5,11 +5,10 @@ camera turns about its own centre, the object is shifted, the object is turned. 
 share.
 """
 
-from dataclasses import dataclass, replace
-
 import numpy as np
 
 from camcal.arrays import Array, FloatArray
+from camcal.dataclass import dataclass, replace
 from camcal.errors import InvalidInput
 from camcal.estimate.tracking.motion import FreeMotion, MotionState, difference
 from camcal.estimate.tracking.pixel_batch import BatchTrack, Chains, Spread, solve, spread_of

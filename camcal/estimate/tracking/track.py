@@ -1,12 +1,12 @@
 """Tracks from the poses or the pixels of single frames, with covariances, velocities and a consistency check."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from camcal.arrays import Array, BoolArray, FloatArray, IntArray, readonly
 from camcal.cameras.model import Camera
+from camcal.dataclass import dataclass, field, replace
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.estimate.poses.records import Correspondences
 from camcal.estimate.smoothing.kalman import AMBIGUOUS, Consistency, consistency, successive

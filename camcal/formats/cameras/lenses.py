@@ -9,7 +9,6 @@ A lens model that camcal does not have (yet) is declared alike, and refused by i
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
@@ -18,6 +17,7 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.cameras.catalogue import MODELS
 from camcal.cameras.model import Camera
+from camcal.dataclass import dataclass
 from camcal.errors import InvalidInput
 from camcal.formats.cameras.values import Values
 from camcal.formats.schema import FOCAL_LENGTH

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
 from math import ceil, floor, isfinite, log10
 from typing import TYPE_CHECKING
 
@@ -14,6 +13,7 @@ from camcal.cameras.identities import same_lens
 from camcal.cameras.lens import CameraModel
 from camcal.cameras.model import Camera
 from camcal.cameras.validity import ImageCircle
+from camcal.dataclass import dataclass, replace
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.formats.camera_file import CameraEntry, CameraFile, ValidRegion, with_cameras
 from camcal.formats.cameras.record import CameraFormat, expressed, lost_coefficients

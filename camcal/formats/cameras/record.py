@@ -2,7 +2,6 @@
 
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple, NoReturn
 
@@ -13,6 +12,7 @@ from camcal.cameras.catalogue import MODELS
 from camcal.cameras.lens import FISHEYE, OPENCV
 from camcal.cameras.model import Camera
 from camcal.cameras.validity import valid_block
+from camcal.dataclass import dataclass
 from camcal.errors import InvalidInput
 from camcal.formats.camera_file import CameraFile
 from camcal.formats.cameras.lenses import Lenses

@@ -9,7 +9,6 @@ Source: image_common/camera_calibration_parsers/src/parse_yml.cpp; sensor_msgs/C
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +19,7 @@ from camcal.arrays import Array
 from camcal.cameras.catalogue import MODELS as LENSES
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
+from camcal.dataclass import dataclass
 from camcal.errors import InvalidInput
 from camcal.formats import emit
 from camcal.formats.camera_file import CameraEntry, CameraFile, Transform, pose_between

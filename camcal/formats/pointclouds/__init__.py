@@ -6,7 +6,6 @@ read(content); those of plain text (.xyz) and of NumPy (.npz) stand here.
 
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -14,6 +13,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from camcal.arrays import Array
+from camcal.dataclass import dataclass, replace
 from camcal.errors import CamcalError, FileError, InvalidInput, Located
 from camcal.files import read_bytes, replacing
 from camcal.formats.documents import parse_json

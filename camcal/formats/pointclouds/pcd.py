@@ -5,12 +5,12 @@ compression is LZF (M. Lehmann, liblzf), which is read only.
 """
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
 from typing import Any, BinaryIO
 
 import numpy as np
 
 from camcal.arrays import Array
+from camcal.dataclass import dataclass, replace
 from camcal.errors import FileError
 from camcal.formats.pointclouds.record import (
     PointCloudFile,

@@ -5,12 +5,12 @@ description (Turk, The PLY polygon file format, 1994).
 """
 
 import re
-from dataclasses import dataclass
 from typing import BinaryIO
 
 import numpy as np
 
 from camcal.arrays import Array
+from camcal.dataclass import dataclass
 from camcal.errors import FileError
 from camcal.formats.pointclouds.record import (
     PointCloudFile,

@@ -4,7 +4,6 @@ Text has nine significant digits, all that a float32 holds.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
 from itertools import chain, product
 
 import numpy as np
@@ -12,6 +11,7 @@ from numpy.typing import NDArray
 
 from camcal import files
 from camcal.arrays import Array
+from camcal.dataclass import dataclass, field
 from camcal.errors import FileError
 from camcal.stereo.points.frames import COLOUR, INTENSITY, METRES, NORMAL, POSITION, SIGMA, VertexStream, vertex_type
 

@@ -2,12 +2,12 @@
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from camcal.arrays import FloatArray, readonly
+from camcal.dataclass import dataclass, field, replace
 from camcal.estimate.poses.records import Alternative
 from camcal.formats.covariance import ORDER, QUATERNION, STEPS, why_no_covariance
 from camcal.formats.documents import Check, Document, Fault, child

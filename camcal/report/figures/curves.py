@@ -1,13 +1,13 @@
 """Figures of a fitted curve, and of a sensor: photon transfer, linearity, signal-to-noise ratio."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import FigureBase
 
 from camcal.arrays import Array
+from camcal.dataclass import dataclass
 from camcal.estimate.curves.curve import CurveFit, predictions
 from camcal.messages import counted
 from camcal.raw.emva import Characterisation, line_deviation

@@ -1,7 +1,5 @@
 """Figures of a disparity map, and of one against its truth: histogram of errors, their map, the bad pixels."""
 
-from dataclasses import dataclass
-
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import BoundaryNorm, ListedColormap
@@ -9,6 +7,7 @@ from matplotlib.figure import FigureBase
 from matplotlib.patches import Patch
 
 from camcal.arrays import Array
+from camcal.dataclass import dataclass
 from camcal.report.figures import image_plane
 from camcal.report.figures.figure import COLOUR_MAP, WIDTH, Plot, Theme, panel_height
 from camcal.stereo.truth import THRESHOLDS

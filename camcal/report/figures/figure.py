@@ -7,7 +7,6 @@ viridis. Source: Okabe & Ito, Color universal design, 2008; Nuñez, Anderton & R
 
 import gc
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
 from importlib import import_module
 from io import BytesIO
 from pathlib import Path
@@ -21,6 +20,7 @@ from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure, FigureBase
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
+from camcal.dataclass import dataclass, replace
 from camcal.errors import InvalidInput
 from camcal.files import stem_of
 

@@ -1,7 +1,6 @@
 """Figures over the time, of series and tracks, and over the distance, of the blur of a lens."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from math import inf
 
 import numpy as np
@@ -10,6 +9,7 @@ from matplotlib.figure import FigureBase
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 from camcal.arrays import Array
+from camcal.dataclass import dataclass
 from camcal.estimate.tracking.track import MEASURED, PREDICTED, REJECTED, Track
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose

@@ -4,8 +4,6 @@ As evo draws them: equal lengths along all axes, start and end marked, coloured 
 Source: Grupp, evo: Python package for the evaluation of odometry and SLAM, 2017.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
@@ -16,6 +14,7 @@ from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.art3d import Line3DCollection
 
 from camcal.arrays import Array
+from camcal.dataclass import dataclass
 from camcal.estimate.trajectory_error import ErrorOptions, aligned
 from camcal.geometry.pose import Trajectory
 from camcal.report.figures.board import equal_aspect, space_axes

@@ -2,7 +2,6 @@
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
 from math import degrees, isfinite
 
 import numpy as np
@@ -11,6 +10,7 @@ from camcal.calibrate.intrinsics import Calibration, CandidateModel
 from camcal.calibrate.view_records import shown_name
 from camcal.cameras.model import Camera
 from camcal.cameras.validity import ImageCircle, field_of_view
+from camcal.dataclass import dataclass, field
 from camcal.messages import Message, counted
 from camcal.quality.assess import Assessment
 from camcal.quality.projection_uncertainty import ProjectionUncertainty

@@ -5,13 +5,13 @@ Everything in the text is escaped but the style sheet and data blocks, which are
 
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
 
 from jinja2 import DictLoader, Environment, StrictUndefined
 from markupsafe import Markup
 
+from camcal.dataclass import dataclass
 from camcal.messages import CODES, Message, counted
 from camcal.quality.criteria import CRITERIA, Criterion
 from camcal.report.table import Column

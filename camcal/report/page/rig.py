@@ -1,12 +1,12 @@
 """The sections of a report on the calibration of a rig."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
 
 import numpy as np
 
 from camcal.calibrate.intrinsics import CandidateModel
 from camcal.calibrate.rigs.record import RigCalibration
+from camcal.dataclass import dataclass, replace
 from camcal.formats.camera_file import STEP
 from camcal.messages import Message, counted
 from camcal.quality.rig_geometry import PairGeometry

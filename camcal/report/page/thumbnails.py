@@ -7,13 +7,13 @@ these are few, as pixels where they are many.
 import base64
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
 from camcal.arrays import Array
 from camcal.calibrate.intrinsics import Calibration, View
+from camcal.dataclass import dataclass
 from camcal.messages import counted
 from camcal.report.figures.figure import DARK, LIGHT, Plot, Theme, encoded_in
 from camcal.report.page.record import Picture, Thumbnail

@@ -9,7 +9,6 @@ Source: the protocol buffers of ONNX (onnx.proto: ModelProto, GraphProto, ValueI
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
@@ -19,6 +18,7 @@ import cv2
 import numpy as np
 
 from camcal.arrays import Array
+from camcal.dataclass import dataclass
 from camcal.errors import FileError, InvalidInput
 from camcal.files import read_bytes
 from camcal.raw.mosaic import full_scale

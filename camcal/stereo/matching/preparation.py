@@ -1,11 +1,10 @@
 """Preparation of a pair for matching: gray conversion, exposure, row alignment, disparity range."""
 
-from dataclasses import dataclass, replace
-
 import cv2
 import numpy as np
 
 from camcal.arrays import Array, BoolArray
+from camcal.dataclass import dataclass, replace
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.messages import Message
 from camcal.stereo.pair.alignment import Residual, align_rows, quick_residual, row_correction

@@ -3,7 +3,6 @@
 Rows are compared by features, or in a tenth of the time by corners of the left image followed into the right one.
 """
 
-from dataclasses import dataclass, replace
 from math import sqrt
 from typing import NamedTuple
 
@@ -11,6 +10,7 @@ import cv2
 import numpy as np
 
 from camcal.arrays import Array, readonly
+from camcal.dataclass import dataclass, replace
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.images.remap import Maps
 from camcal.opencv import resized

@@ -5,7 +5,6 @@ their rows, their exposure and their order.
 """
 
 import math
-from dataclasses import dataclass
 from math import ceil, floor, sqrt
 from typing import NamedTuple
 
@@ -13,6 +12,7 @@ import cv2
 import numpy as np
 
 from camcal.arrays import Array, readonly, require_shape
+from camcal.dataclass import dataclass
 from camcal.errors import InvalidInput
 from camcal.opencv import remap, resized
 

@@ -1,11 +1,11 @@
 """The check of two images as a rectified pair: rows, order, exposure and range of disparities."""
 
-from dataclasses import dataclass, replace
 from math import degrees
 
 import numpy as np
 
 from camcal.arrays import Array, readonly
+from camcal.dataclass import dataclass, replace
 from camcal.errors import InvalidInput
 from camcal.messages import Message
 from camcal.stereo.disparity import LIMITS

@@ -5,13 +5,12 @@ stands for another point: its right ray has to meet the changed left ray in the 
 found. To first order that is a linear map from the parameters to the depth at each pixel and distance.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from camcal.arrays import Array, Float32Array, FloatArray, readonly
 from camcal.cameras.directions import ray_displacements
 from camcal.cameras.model import Camera
+from camcal.dataclass import dataclass
 from camcal.errors import InvalidInput
 from camcal.geometry.pose import Pose, point_jacobian
 from camcal.stereo.disparity import StereoGeometry

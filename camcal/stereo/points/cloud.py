@@ -9,12 +9,12 @@ A cloud is thinned to one point for each cube of a grid, or to so many drawn at 
 """
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
 
 from camcal.arrays import Array, BoolArray
+from camcal.dataclass import dataclass, field, replace
 from camcal.errors import InvalidInput
 from camcal.raw.mosaic import full_scale
 from camcal.records import Brief

@@ -5,13 +5,13 @@ points stays in the cache.
 """
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
 from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
 
 from camcal.arrays import Array, BoolArray, Float32Array, PixelArray
+from camcal.dataclass import dataclass, field
 from camcal.errors import InvalidInput
 from camcal.geometry.pose import CONVENTIONS, Pose, change
 from camcal.records import Brief

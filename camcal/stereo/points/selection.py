@@ -3,11 +3,10 @@
 A point stands alone by the disparities around its pixel, or by the points around it.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from camcal.arrays import Array
+from camcal.dataclass import dataclass
 from camcal.errors import InvalidInput
 from camcal.raw.tiles import Each, difference, one_by_one
 from camcal.stereo.points.frames import BackProjection, Frame, StereoImage, require_size, row_blocks, widened

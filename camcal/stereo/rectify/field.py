@@ -5,7 +5,6 @@ nearer it is, the more the left camera's λ exceeds the right one's. What one ca
 sees the same φ at a λ that a point at some distance may have.
 """
 
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,6 +12,7 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.cameras.model import Camera
 from camcal.cameras.validity import ImageCircle, pixel_angles, rim
+from camcal.dataclass import dataclass
 
 CELLS = 192  # of the grid of directions, along either angle
 FAINT = 0.05  # of the fullest row or column: those with less, at the ends, are left out

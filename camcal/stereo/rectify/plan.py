@@ -8,7 +8,6 @@ before all; z is the mean optical axis across it, or the middle of the common fi
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -16,6 +15,7 @@ import numpy as np
 from camcal.arrays import Array, BoolArray, Float32Array, PixelArray
 from camcal.cameras.model import Camera
 from camcal.cameras.validity import ImageCircle
+from camcal.dataclass import dataclass, replace
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.geometry.pose import Pose
 from camcal.images.remap import Maps, build_maps

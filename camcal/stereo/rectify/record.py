@@ -16,7 +16,6 @@ So the covariance of a calibration is carried to the parameters of the rectified
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
@@ -25,6 +24,7 @@ from camcal.arrays import Array, FloatArray, readonly
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.lens import Projection, Rays
 from camcal.cameras.model import Camera
+from camcal.dataclass import dataclass
 from camcal.errors import InvalidInput
 from camcal.geometry.pose import Pose
 from camcal.messages import Message

@@ -3,13 +3,13 @@
 Places in the plane: along and across the baseline, at focal length 1.
 """
 
-from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from camcal.arrays import Array, BoolArray
 from camcal.cameras.validity import pixel_angles
+from camcal.dataclass import dataclass, replace
 from camcal.errors import InsufficientData
 from camcal.images.options import LONGEST_SIDE
 from camcal.stereo.options import RectifiedViewOptions

@@ -13,13 +13,13 @@ the squares end.
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
 
 from camcal import opencv
 from camcal.arrays import Array, IntArray
+from camcal.dataclass import dataclass, replace
 from camcal.targets.board import Board
 from camcal.targets.board_map import map_of
 from camcal.targets.checker import proposals as grids

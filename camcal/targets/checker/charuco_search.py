@@ -8,12 +8,12 @@ each marker names its place. All of it must agree, so that what is no ChArUco bo
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
 from statistics import median
 
 import numpy as np
 
 from camcal.arrays import Array
+from camcal.dataclass import dataclass, replace
 from camcal.errors import InvalidInput
 from camcal.targets.board import CHARUCO, LARGEST, Board
 from camcal.targets.checker.charuco import (

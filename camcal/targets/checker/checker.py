@@ -10,13 +10,13 @@ and Matthews 2004, inverse compositional alignment).
 """
 
 import math
-from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
 
 from camcal import opencv
 from camcal.arrays import Array
+from camcal.dataclass import dataclass, replace
 from camcal.targets.board_map import map_of
 from camcal.targets.checker import proposals as grids
 

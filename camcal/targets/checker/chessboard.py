@@ -164,7 +164,7 @@ def _ending_on(board: Board, ids: Array) -> Array:
 
 
 def _ends(gray: Array, checker: Checker) -> Iterator[bool]:
-    """Yield for each side of a pattern, top, bottom, left, right, whether the image shows the end of the board there."""
+    """Yield for the top, bottom, left and right of a pattern whether the image shows the end of the board there."""
     wide = grids.predict(grids.padded(checker.grid))
     along, down = np.moveaxis(grids.steps(wide), -1, 0)
     places, across, downwards = (grids.outer(values) for values in (wide, along, down))

@@ -16,12 +16,12 @@ lie beside the whole way between them as the sectors of both say. No size, no an
 
 from collections import deque
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
 from camcal import opencv
 from camcal.arrays import Array
+from camcal.dataclass import dataclass
 
 _REACH = 3  # nodes away that take part in a prediction
 _UPRIGHT = np.array([np.cos(np.radians(20)), np.sin(np.radians(20))])

@@ -5,11 +5,10 @@ corner an edge begins to be that corner's. Edges are straight on the board but n
 The pixels are those by the two edges, each counted with the nearer one.
 """
 
-from dataclasses import dataclass, replace
-
 import numpy as np
 
 from camcal.arrays import Array, readonly
+from camcal.dataclass import dataclass, replace
 
 CROWDED = 6.5  # standard deviations of the blur to the next edge, below which it is part of the picture
 

@@ -6,12 +6,12 @@ that were missed are searched for where they must be.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
 
 from camcal.arrays import Array, readonly
+from camcal.dataclass import dataclass, replace
 from camcal.errors import InvalidInput
 from camcal.targets.board import APRILGRID, Board
 from camcal.targets.board_map import map_of

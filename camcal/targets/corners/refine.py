@@ -24,11 +24,10 @@ of this one with another β. A parabola would leave two parts in a hundred of th
 edges lie along the rows of pixels.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from camcal.arrays import Array, readonly
+from camcal.dataclass import dataclass
 from camcal.solve.descent import Stopping
 from camcal.solve.independent import Minima, Models, Trial, minimise_each
 from camcal.targets.corners.cells import LONGEST_PX, Beside, Cells, CellWindow, sample_cells

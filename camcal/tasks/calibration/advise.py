@@ -1,7 +1,6 @@
 """`camcal advise`: the views that a calibration would gain most from, and those that it could do without."""
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +8,7 @@ import numpy as np
 
 from camcal import files
 from camcal.cameras.model import require_central
+from camcal.dataclass import dataclass, replace
 from camcal.errors import InvalidInput
 from camcal.formats import boards, cameras
 from camcal.formats.addresses import split_address

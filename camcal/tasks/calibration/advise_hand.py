@@ -1,11 +1,11 @@
 """`camcal advise --robot`: the poses of a robot's hand from which hand and eye would be known best."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from camcal.dataclass import dataclass
 from camcal.errors import InvalidInput
 from camcal.formats import boards, cameras
 from camcal.formats.addresses import split_address

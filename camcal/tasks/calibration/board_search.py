@@ -1,7 +1,6 @@
 """Parallel search for a board in images and frames of videos, first in a few, which also tell its arrangement."""
 
 from collections.abc import Callable, Container, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TypeVar
@@ -10,6 +9,7 @@ import numpy as np
 
 from camcal import opencv
 from camcal.arrays import Array, IntArray
+from camcal.dataclass import dataclass, replace
 from camcal.errors import InvalidInput
 from camcal.formats.tables import require_cell
 from camcal.progress import Outcome, Progress

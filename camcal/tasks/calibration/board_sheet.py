@@ -1,10 +1,10 @@
 """`camcal board`: a board as a sheet to print at true scale, and the board file that goes with it."""
 
-from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from camcal import files
+from camcal.dataclass import dataclass, replace
 from camcal.errors import CamcalError, InvalidInput
 from camcal.formats import boards, emit, provenance
 from camcal.formats.boards import short_form

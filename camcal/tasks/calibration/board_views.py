@@ -1,12 +1,12 @@
 """Views of a board from images or from a detections file. What looks at images is imported where there are some."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from camcal import files
 from camcal.cameras.validity import ImageCircle
+from camcal.dataclass import dataclass, field, replace
 from camcal.errors import InvalidInput
 from camcal.formats import boards, corner_lists, detections
 from camcal.formats.camera_file import CameraEntry

@@ -1,7 +1,6 @@
 """What comes of the calibration of a camera, and its file: the camera, the board, the images and their hashes."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -13,6 +12,7 @@ from camcal.calibrate.channels import Aberration, ColourLens
 from camcal.calibrate.intrinsics import Calibration, CandidateModel, View
 from camcal.cameras.model import Camera
 from camcal.cameras.validity import ImageCircle
+from camcal.dataclass import dataclass, field, replace
 from camcal.formats import provenance
 from camcal.formats.camera_file import (
     CalibrationNoise,

@@ -2,7 +2,6 @@
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
 from math import inf
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ import numpy as np
 from camcal import files
 from camcal.arrays import FloatArray
 from camcal.calibrate.known_cameras import KnownBoard
+from camcal.dataclass import dataclass, replace
 from camcal.errors import GateFailed, InsufficientData, InvalidInput
 from camcal.formats import cameras
 from camcal.formats.addresses import split_address

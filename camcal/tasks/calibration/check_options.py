@@ -1,9 +1,9 @@
 """The options of `camcal check`."""
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+from camcal.dataclass import dataclass
 from camcal.options import (
     BOARD,
     CHECKS,

@@ -1,10 +1,10 @@
 """`camcal demo`: calibration of rendered images, with estimates beside ground truth."""
 
-from dataclasses import dataclass
 from typing import Any
 
 from camcal import files
 from camcal.calibrate.intrinsics import Calibration
+from camcal.dataclass import dataclass
 from camcal.progress import SILENT, Progress
 from camcal.run.outputs import claim, writes
 from camcal.simulate.scene import Truth

@@ -1,12 +1,12 @@
 """`camcal detect`: detection of a board in images and video frames, in parallel, and pictures of the result."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from camcal.arrays import Array
+from camcal.dataclass import dataclass
 from camcal.errors import CamcalError, FileError, InvalidInput
 from camcal.formats import boards, detections, native_entry
 from camcal.images.files import KINDS, save

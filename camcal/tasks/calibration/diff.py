@@ -1,7 +1,6 @@
 """`camcal diff`: by how much the projections of cameras differ, and whether that is more than is uncertain."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
 from typing import Any
@@ -10,6 +9,7 @@ import numpy as np
 
 from camcal import files
 from camcal.cameras.model import Camera
+from camcal.dataclass import dataclass
 from camcal.errors import InvalidInput
 from camcal.formats import cameras, tables
 from camcal.formats.addresses import split_address

@@ -3,13 +3,13 @@
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import chain
 from operator import attrgetter
 from pathlib import Path
 from typing import NamedTuple
 
+from camcal.dataclass import dataclass, field, replace
 from camcal.errors import CamcalError, InvalidInput
 from camcal.images.files import load, save
 from camcal.images.image import Image, Scratch

@@ -1,11 +1,11 @@
 """What a calibration leaves uncertain of measurements at a distance: of projected points, lengths and depths."""
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from camcal.cameras.model import require_central
+from camcal.dataclass import dataclass
 from camcal.errors import InvalidInput
 from camcal.formats import cameras
 from camcal.formats.addresses import split_address

@@ -1,7 +1,6 @@
 """`camcal handeye`: where a camera stands on a robot's hand, or beside it, with the noise of the robot itself."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
 from math import inf
 from typing import Any
 
@@ -14,6 +13,7 @@ from camcal.calibrate.robot.estimator import RobotEstimate, estimate_robot
 from camcal.calibrate.robot.problem import RobotPoses
 from camcal.calibrate.robot.start import closed_form
 from camcal.cameras.observations import Observations
+from camcal.dataclass import dataclass, replace
 from camcal.errors import InvalidInput, NotConverged
 from camcal.formats import cameras, frames, native, provenance, robot_poses
 from camcal.formats.addresses import split_address

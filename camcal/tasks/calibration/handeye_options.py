@@ -1,9 +1,9 @@
 """The options of `camcal handeye`."""
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+from camcal.dataclass import dataclass
 from camcal.options import INPUT, METHOD, OUTPUT, Argument, Option, OptionsRecord, Without
 from camcal.raw.options import AS_IMAGES, ImageReadOptions
 from camcal.tasks.calibration.options import BEST_FRAMES, FrameOptions, ImageSize

@@ -1,7 +1,6 @@
 """The poses of `camcal handeye`: which of the robot's belong to what a camera saw, and how they are to be read."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +22,7 @@ from camcal.calibrate.robot.reading import (
 )
 from camcal.calibrate.robot.start import Poses
 from camcal.calibrate.robot.timing import Motion
+from camcal.dataclass import dataclass, replace
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.formats import poses as pose_files
 from camcal.formats import robot_poses

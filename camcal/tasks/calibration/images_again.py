@@ -7,7 +7,6 @@ photographs: no lens has made them, so none can be calibrated.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
@@ -17,6 +16,7 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.calibrate.intrinsics import Calibration, View
 from camcal.cameras.validity import ImageCircle
+from camcal.dataclass import dataclass, replace
 from camcal.errors import CamcalError, InsufficientData
 from camcal.images.image_circle import MOST_IMAGES, ImageCircleSearch, evenly_spaced
 from camcal.messages import Message

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,6 +10,7 @@ import numpy as np
 
 from camcal.cameras.model import Camera
 from camcal.cameras.validity import field_of_view, field_size
+from camcal.dataclass import dataclass, replace
 from camcal.errors import InvalidInput
 from camcal.formats import cameras, documents, emit, native
 from camcal.formats.camera_file import CameraEntry, CameraFile

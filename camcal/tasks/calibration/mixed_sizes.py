@@ -7,7 +7,6 @@ clearly better is taken. Where both fit alike, the image is left out.
 
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +17,7 @@ from camcal.calibrate.intrinsics import Calibration
 from camcal.calibrate.view_records import names_of
 from camcal.cameras.catalogue import DEFAULT_MODEL, WIDE_MODEL, model_named
 from camcal.cameras.validity import ImageCircle
+from camcal.dataclass import dataclass, field
 from camcal.errors import CamcalError
 from camcal.messages import Message, counted
 from camcal.targets.board import Board

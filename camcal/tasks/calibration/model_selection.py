@@ -1,7 +1,6 @@
 """Lens model selection: the first of the candidates, in their order, whose calibration passes the verdict."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
 from functools import cache, partial
 from typing import TYPE_CHECKING
 
@@ -10,6 +9,7 @@ from camcal.calibrate.fit import CalibrationFit, ShapeOptions
 from camcal.calibrate.intrinsics import Calibration, CandidateModel, FittedModel, compare_models
 from camcal.cameras.catalogue import DEFAULT_MODEL, SPLINE_MODEL, WIDE_MODEL, model_named
 from camcal.cameras.validity import ImageCircle
+from camcal.dataclass import dataclass, replace
 from camcal.errors import CamcalError, InsufficientData, InvalidInput, NotConverged
 from camcal.messages import Message
 from camcal.progress import SILENT, Progress, stage

@@ -1,9 +1,9 @@
 """The options of the commands for calibration and board detection."""
 
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+from camcal.dataclass import dataclass, field
 from camcal.errors import InvalidInput
 from camcal.options import (
     BOARD,

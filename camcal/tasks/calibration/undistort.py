@@ -4,7 +4,6 @@ With --points, a table of pixels of the distorted image to pixels of the view, a
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -15,6 +14,7 @@ from camcal import files
 from camcal.arrays import Array
 from camcal.cameras.model import Camera
 from camcal.cameras.validity import ImageCircle
+from camcal.dataclass import dataclass, field, replace
 from camcal.errors import CamcalError, InvalidInput
 from camcal.formats import cameras, native, provenance
 from camcal.formats.addresses import split_address

@@ -1,12 +1,12 @@
 """`camcal undistort --maps`: where the pixels of an undistorted view come from, for other programs to draw it."""
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from camcal.cameras.model import Camera
+from camcal.dataclass import dataclass
 from camcal.formats.maps import mesh_nodes, write_maps, write_mesh
 from camcal.images.remap import build_maps
 from camcal.images.views import make_view

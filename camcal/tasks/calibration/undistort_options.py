@@ -1,9 +1,9 @@
 """The options of `camcal undistort`."""
 
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
+from camcal.dataclass import dataclass, field
 from camcal.errors import InvalidInput
 from camcal.files import STANDARD
 from camcal.images.options import JPEG_QUALITY, MAP_SUFFIXES, MESH_STEP, ViewOptions

@@ -9,7 +9,6 @@ import hashlib
 from collections import Counter
 from collections.abc import Container, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -18,6 +17,7 @@ import numpy as np
 from camcal import opencv
 from camcal.arrays import Array, PixelArray
 from camcal.calibrate.frames import BLURRED, CHOSEN, MOVING, SAME, SURPLUS, FrameChoice, choose_frames
+from camcal.dataclass import dataclass, replace
 from camcal.errors import CamcalError, InvalidInput
 from camcal.images import video
 from camcal.images.files import gray_8bit, gray_levels

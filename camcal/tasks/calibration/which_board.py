@@ -2,11 +2,11 @@
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
 from camcal import opencv
+from camcal.dataclass import dataclass, replace
 from camcal.errors import InsufficientData
 from camcal.formats.boards import short_form
 from camcal.messages import Message, counted

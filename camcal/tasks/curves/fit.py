@@ -2,13 +2,13 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from camcal import files
 from camcal.arrays import Array
+from camcal.dataclass import dataclass, replace
 from camcal.errors import InvalidInput
 from camcal.estimate.curves.curve import Curve, CurveFit, Data, predictions, predictions_with_jacobian
 from camcal.estimate.curves.expressions import CONSTANTS, Expression, parse

@@ -1,13 +1,13 @@
 """The result of `camcal fit`, as a record and as plain data, with its failures."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from camcal import records
+from camcal.dataclass import dataclass
 from camcal.errors import InsufficientData, NotConverged
 from camcal.estimate.curves.curve import CurveFit
 from camcal.estimate.curves.fit import Comparison, End

@@ -1,9 +1,9 @@
 """The options of `camcal fit`."""
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
+from camcal.dataclass import dataclass
 from camcal.errors import InvalidInput
 from camcal.options import INPUT, OUTPUT, Argument, Option, OptionsRecord, Written
 from camcal.tasks.options import (

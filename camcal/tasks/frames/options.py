@@ -1,9 +1,9 @@
 """The options of the commands of `camcal transform`."""
 
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+from camcal.dataclass import dataclass, field
 from camcal.errors import InvalidInput
 from camcal.files import STANDARD
 from camcal.options import INPUT, OUTPUT, Argument, Option, OptionsRecord, Without, Written

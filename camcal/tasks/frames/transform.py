@@ -4,7 +4,6 @@ The mean of several estimates of one transform; how far poses, as they are writt
 """
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
 from functools import reduce
 from itertools import pairwise
 from typing import Any
@@ -12,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from camcal import files
+from camcal.dataclass import dataclass, replace
 from camcal.errors import GateFailed, InsufficientData, InvalidInput
 from camcal.estimate.pose_average import PoseAverage, average_poses
 from camcal.formats import frames, pose_text

@@ -3,13 +3,13 @@ points to another frame.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from camcal.arrays import Array
+from camcal.dataclass import dataclass, replace
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.formats import cameras, correspondences, pointclouds, trajectories
 from camcal.formats.correspondences import PointTable

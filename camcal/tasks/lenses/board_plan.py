@@ -1,7 +1,6 @@
 """Planning of a board for a camera: distances at which it fits, is sharp and detectable, and accuracy."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import inf, pi, sqrt
 
@@ -10,6 +9,7 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.cameras.catalogue import DEFAULT_MODEL, model_named
 from camcal.cameras.model import Camera
+from camcal.dataclass import dataclass, field, replace
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose

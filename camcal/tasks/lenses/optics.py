@@ -1,12 +1,13 @@
 """`camcal optics`: field of view, sharpness, and expected accuracy with a board, as a record, document and table."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict
 from math import degrees, hypot, isfinite, isnan, pi
 from pathlib import Path
 from typing import Any, TypeVar
 
 from camcal import files, records
+from camcal.dataclass import dataclass, field, replace
 from camcal.errors import InvalidInput
 from camcal.estimate.poses.records import AMBIGUOUS, WEAK_TURN
 from camcal.formats.boards import load_board

@@ -1,7 +1,6 @@
 """The figures of a lens, each computed if its inputs are known, in SI units."""
 
 from collections.abc import Collection
-from dataclasses import dataclass, field
 from math import pi
 
 import numpy as np
@@ -9,6 +8,7 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.cameras.model import Camera
 from camcal.cameras.validity import field_of_view, field_size, pixel_angles, pixel_sizes
+from camcal.dataclass import dataclass, field
 from camcal.optics import lens
 from camcal.records import entry
 from camcal.tasks.lenses.optics_setup import Setup

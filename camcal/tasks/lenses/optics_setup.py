@@ -2,13 +2,13 @@
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import inf, isfinite
 
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.cameras.validity import ImageCircle, field_size
+from camcal.dataclass import dataclass, field, replace
 from camcal.errors import InvalidInput
 from camcal.formats import cameras
 from camcal.formats.addresses import split_address

@@ -1,10 +1,10 @@
 """The options of `camcal optics`: a lens, its sensor, its use, and a board before it."""
 
-from dataclasses import dataclass
 from math import inf
 from pathlib import Path
 from typing import Annotated
 
+from camcal.dataclass import dataclass
 from camcal.errors import InvalidInput
 from camcal.options import (
     BOARD,

@@ -4,11 +4,11 @@ import fnmatch
 import glob
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
-from dataclasses import dataclass
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 from camcal import system
+from camcal.dataclass import dataclass
 from camcal.errors import FileError
 from camcal.formats.documents import Fault
 from camcal.images import videos

@@ -7,11 +7,11 @@ import glob
 import os
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from camcal import files
+from camcal.dataclass import dataclass
 from camcal.errors import CamcalError, InvalidInput
 from camcal.files import STANDARD
 from camcal.formats import documents

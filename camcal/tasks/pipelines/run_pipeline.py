@@ -2,13 +2,13 @@
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, chdir, contextmanager
-from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 from functools import cached_property
 from pathlib import Path
 from typing import Protocol
 
 from camcal import files, system, urls
+from camcal.dataclass import dataclass, field, replace
 from camcal.errors import EXIT_PRECEDENCE, CamcalError, FileError, InvalidInput
 from camcal.messages import Message, counted
 from camcal.parsing import did_you_mean

@@ -8,12 +8,13 @@ import glob
 import json
 import time
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import camcal
 from camcal import files, urls
+from camcal.dataclass import dataclass, field
 from camcal.errors import CamcalError, FileError
 from camcal.formats import documents
 from camcal.messages import Message, as_data, counted

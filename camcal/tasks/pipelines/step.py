@@ -1,12 +1,12 @@
 """The options of `camcal run`; a step: a command with its options, what it reads and writes, and what came of it."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any
 
 from camcal import urls
+from camcal.dataclass import dataclass, field
 from camcal.errors import InvalidInput
 from camcal.files import STANDARD
 from camcal.messages import Message

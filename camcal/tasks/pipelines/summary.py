@@ -1,10 +1,10 @@
 """What a pipeline is reported as: the table with the worst step first, and the document for --json."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
 from typing import Any
 
 from camcal import messages
+from camcal.dataclass import dataclass, replace
 from camcal.errors import EXIT_BUG, EXIT_PRECEDENCE, CamcalError
 from camcal.messages import Message, counted
 from camcal.report.table import Column

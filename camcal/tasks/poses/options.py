@@ -2,10 +2,10 @@
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
+from camcal.dataclass import dataclass, field
 from camcal.errors import InvalidInput
 from camcal.messages import Message
 from camcal.options import (

@@ -4,7 +4,6 @@ A pose that is known beforehand is one of a pose file, or of a file with a pose 
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -14,6 +13,7 @@ import numpy as np
 from camcal import files
 from camcal.arrays import Array
 from camcal.cameras.model import Camera
+from camcal.dataclass import dataclass, field, replace
 from camcal.errors import CamcalError, GateFailed, InsufficientData, InvalidInput
 from camcal.estimate.poses.records import Correspondences, PoseEstimate, PoseOptions, PosePrior
 from camcal.formats import cameras, correspondences, pose_text, poses

@@ -5,7 +5,6 @@ Pictures of the poses are drawn over the images they come from, as many at a tim
 
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +12,7 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.cameras.model import Camera, Rig
+from camcal.dataclass import dataclass, field, replace
 from camcal.errors import CamcalError, InvalidInput
 from camcal.estimate.pnp import estimate_poses, estimate_rig_poses
 from camcal.estimate.poses.records import Correspondences, PoseEstimate, PoseOptions

@@ -2,13 +2,13 @@
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
 
 from camcal.arrays import Array
 from camcal.cameras.model import Camera, resized
+from camcal.dataclass import dataclass, field, replace
 from camcal.errors import CamcalError, InvalidInput
 from camcal.estimate.poses.records import Correspondences
 from camcal.formats import boards, tags

@@ -1,7 +1,6 @@
 """`camcal smooth`: smoothing of trajectories or series, with covariances and noise estimates."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
 from math import degrees
 from pathlib import Path
 from typing import Any
@@ -10,6 +9,7 @@ import numpy as np
 
 from camcal import files, records
 from camcal.arrays import Array
+from camcal.dataclass import dataclass, replace
 from camcal.errors import InvalidInput
 from camcal.estimate.smoothing.batch import OUTLIER_CONFIDENCE
 from camcal.estimate.smoothing.kalman import NOT_JUDGED, Consistency

@@ -2,10 +2,10 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+from camcal.dataclass import dataclass, field
 from camcal.errors import InvalidInput
 from camcal.options import (
     INPUT,

@@ -2,7 +2,6 @@
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -10,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from camcal.arrays import Array
+from camcal.dataclass import dataclass, field, replace
 from camcal.errors import CamcalError, FileError
 from camcal.estimate.poses.records import Correspondences
 from camcal.images.files import gray_8bit

@@ -1,13 +1,13 @@
 """`camcal track`: poses of single frames, or the frames themselves, to tracks of objects over time."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from camcal import files
 from camcal.arrays import Array
 from camcal.cameras.model import Camera
+from camcal.dataclass import dataclass, field
 from camcal.errors import CamcalError, InsufficientData, InvalidInput
 from camcal.estimate.poses.records import Correspondences
 from camcal.estimate.tracking.measurements import GateOptions

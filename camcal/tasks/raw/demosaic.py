@@ -7,7 +7,7 @@ patterns; with --make-bad-pixel-map, the pixels of a sensor that dark frames giv
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import nullcontext
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -17,6 +17,7 @@ import numpy as np
 import camcal
 from camcal import files
 from camcal.arrays import Array
+from camcal.dataclass import dataclass, field, replace
 from camcal.errors import InvalidInput, Located
 from camcal.formats import emit
 from camcal.images.bag import count

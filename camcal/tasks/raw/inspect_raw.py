@@ -1,12 +1,12 @@
 """`camcal inspect` of a raw frame: levels, exposure, and metadata."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from camcal.dataclass import dataclass
 from camcal.images.image import RAW_SUFFIXES
 from camcal.raw.frame_facts import BINS, ChannelFacts, channel_facts
 from camcal.raw.headerless import CandidateLayout, fitting_layouts, length_of

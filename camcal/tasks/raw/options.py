@@ -1,10 +1,10 @@
 """The options of the commands that work on raw frames."""
 
-from dataclasses import dataclass, field
 from math import isfinite
 from pathlib import Path
 from typing import Annotated
 
+from camcal.dataclass import dataclass, field
 from camcal.errors import InvalidInput
 from camcal.options import (
     CHECKS,

@@ -5,7 +5,7 @@ Frames are grouped into exposure levels by folder, exposure and brightness.
 
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields
 from functools import partial
 from math import ceil, log2
 from pathlib import Path
@@ -15,6 +15,7 @@ import numpy as np
 
 from camcal import files
 from camcal.arrays import Array
+from camcal.dataclass import dataclass, replace
 from camcal.errors import InsufficientData, InvalidInput, Located
 from camcal.formats import emit, provenance
 from camcal.images.image import RAW_SUFFIXES

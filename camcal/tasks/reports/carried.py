@@ -11,7 +11,6 @@ import json
 import re
 import zlib
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -20,6 +19,7 @@ import numpy as np
 
 from camcal import files
 from camcal.calibrate.intrinsics import CandidateModel
+from camcal.dataclass import dataclass, field
 from camcal.errors import FileError, InvalidInput, Located
 from camcal.formats import boards, detections, documents
 from camcal.formats.addresses import split_address

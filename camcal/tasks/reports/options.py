@@ -1,9 +1,9 @@
 """The options of `camcal report` and `camcal rerun`."""
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
+from camcal.dataclass import dataclass
 from camcal.options import Argument, OptionsRecord
 from camcal.tasks.options import FOLDER, PAGE, BoardText, DetectionsModel, DetectionsSize, Overwrite, output_option
 

@@ -4,10 +4,10 @@ The page of detections is that of their calibration; that of a file alone says w
 """
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
 from pathlib import Path
 
 from camcal import files
+from camcal.dataclass import dataclass, replace
 from camcal.errors import InvalidInput
 from camcal.formats import cameras, detections, vnl
 from camcal.formats.camera_file import CameraEntry, CameraFile

@@ -4,7 +4,6 @@ Two results agree if their figures differ by less than 1e-6 of their standard de
 """
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
 from math import hypot, isfinite
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -14,6 +13,7 @@ import numpy as np
 
 from camcal import files, records
 from camcal.calibrate.rigs.record import Captures
+from camcal.dataclass import dataclass, field, replace
 from camcal.errors import CamcalError, GateFailed, InsufficientData, InvalidInput, Located, NotConverged
 from camcal.formats import boards, documents, native
 from camcal.formats.camera_file import STEP, CameraEntry, CameraFile

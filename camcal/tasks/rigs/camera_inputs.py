@@ -4,9 +4,9 @@ import re
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
-from dataclasses import dataclass
 from pathlib import Path, PurePath
 
+from camcal.dataclass import dataclass
 from camcal.errors import InvalidInput
 from camcal.formats.native import NAME
 from camcal.geometry.pose import JOINT

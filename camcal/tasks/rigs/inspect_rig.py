@@ -1,7 +1,6 @@
 """What `camcal inspect` says of the cameras of a rig together, and the picture of them."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +9,7 @@ import numpy as np
 from camcal import files
 from camcal.cameras.model import Rig
 from camcal.cameras.validity import ImageCircle
+from camcal.dataclass import dataclass, field
 from camcal.errors import InvalidInput
 from camcal.formats import boards
 from camcal.formats.camera_file import CameraFile, rig_of

@@ -2,7 +2,6 @@
 
 from collections import Counter
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +9,7 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.calibrate.frames import BLURRED, MOVING
 from camcal.calibrate.rigs.record import Captures
+from camcal.dataclass import dataclass, replace
 from camcal.errors import FileError, InvalidInput
 from camcal.files import natural_key
 from camcal.images import video

@@ -1,9 +1,9 @@
 """The options of `camcal rig` and `camcal stereo calibrate`."""
 
-from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+from camcal.dataclass import dataclass, field, replace
 from camcal.errors import InvalidInput
 from camcal.options import (
     BOARD,

@@ -3,7 +3,6 @@
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +18,7 @@ from camcal.cameras.lens import CameraModel
 from camcal.cameras.model import Camera, require_central
 from camcal.cameras.observations import Observations
 from camcal.cameras.validity import ImageCircle
+from camcal.dataclass import dataclass, field, replace
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.formats import cameras
 from camcal.formats.addresses import split_address

@@ -1,13 +1,13 @@
 """What comes of the calibration of a rig, and the rig file: its cameras, transforms, their joint covariance."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from camcal.calibrate.intrinsics import CandidateModel
 from camcal.calibrate.rigs.record import RigCalibration
 from camcal.cameras.validity import ImageCircle
+from camcal.dataclass import dataclass, replace
 from camcal.formats import provenance
 from camcal.formats.camera_file import CalibrationVerdict, CameraFile, JointCovariance, Transform
 from camcal.geometry.pose import Pose

@@ -1,11 +1,11 @@
 """What the images of several cameras show of a board: searched once for all cameras, matched to captures."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from camcal.calibrate.rigs.record import Captures
 from camcal.cameras.validity import ImageCircle
+from camcal.dataclass import dataclass, field, replace
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.messages import Message
 from camcal.options import given_words

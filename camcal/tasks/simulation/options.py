@@ -1,10 +1,10 @@
 """The options of `camcal simulate`: images of a board, raw frames, rectified pairs."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+from camcal.dataclass import dataclass
 from camcal.errors import InvalidInput
 from camcal.options import (
     BOARD,

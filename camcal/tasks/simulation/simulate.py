@@ -6,7 +6,7 @@ is touched.
 """
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict
 from functools import partial
 from math import radians
 from pathlib import Path
@@ -17,6 +17,7 @@ import numpy as np
 from camcal import files, system
 from camcal.cameras.catalogue import DEFAULT_MODEL, model_named
 from camcal.cameras.model import Camera, require_central
+from camcal.dataclass import dataclass, replace
 from camcal.errors import CamcalError, InvalidInput
 from camcal.formats import boards, cameras, detections, native, poses, provenance
 from camcal.formats.addresses import split_address

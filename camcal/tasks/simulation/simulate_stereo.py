@@ -1,7 +1,7 @@
 """`camcal simulate --stereo`: rendered rectified pairs with exact disparity."""
 
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict
 from functools import partial
 from math import degrees, pi, radians, tan
 from pathlib import Path
@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from camcal.arrays import Array
+from camcal.dataclass import dataclass, replace
 from camcal.errors import InvalidInput
 from camcal.formats import disparity, disparity_sidecar, native, provenance
 from camcal.formats.camera_file import CameraEntry, CameraFile, Transform, ValidRegion

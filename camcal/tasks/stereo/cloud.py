@@ -1,7 +1,6 @@
 """A disparity map and what is known of its pair, or an unrectified pair and its rig, to a point cloud."""
 
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -9,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from camcal.arrays import Array, FloatArray
+from camcal.dataclass import dataclass, field, replace
 from camcal.errors import InvalidInput
 from camcal.formats import disparity, disparity_sidecar, pointclouds, pose_text
 from camcal.formats.addresses import split_address

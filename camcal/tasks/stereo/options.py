@@ -1,11 +1,12 @@
 """The options of the commands about rectified pairs and point clouds."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import fields
 from pathlib import Path
 from types import MappingProxyType
 from typing import Annotated
 
+from camcal.dataclass import dataclass, field
 from camcal.errors import InvalidInput
 from camcal.options import CHECKS, INPUT, OUTPUT, SIZE, Argument, Option, OptionsRecord, ValueType, Without, Written
 from camcal.run.options import DEFAULT_BATCH, BatchOptions

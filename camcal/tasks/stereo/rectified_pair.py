@@ -5,7 +5,7 @@ The other files that a sidecar names become the image that points are made of.
 
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ import numpy as np
 
 from camcal.arrays import FloatArray
 from camcal.cameras.model import Camera
+from camcal.dataclass import dataclass, field
 from camcal.errors import FileError, InvalidInput
 from camcal.formats import cameras, disparity, disparity_sidecar, pair_calibration
 from camcal.formats.addresses import split_address

@@ -1,13 +1,13 @@
 """`camcal stereo rectify`: rectified pairs of images and videos, their camera file, masks and maps."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from camcal import files, records
+from camcal.dataclass import dataclass, replace
 from camcal.errors import InvalidInput
 from camcal.formats import native, pair_calibration
 from camcal.formats.addresses import split_address

@@ -1,7 +1,6 @@
 """Two cameras of a rig file and their images: how they are rectified, read and matched."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import permutations
 from math import floor
@@ -14,6 +13,7 @@ from camcal import files
 from camcal.arrays import Array, PixelArray
 from camcal.cameras.model import Camera
 from camcal.cameras.validity import ImageCircle
+from camcal.dataclass import dataclass, replace
 from camcal.errors import CamcalError, InvalidInput
 from camcal.formats import provenance
 from camcal.formats.addresses import split_address

@@ -1,9 +1,10 @@
 """The options of rectification, of point clouds and of `camcal stereo run`, which has them all."""
 
-from dataclasses import dataclass, field, fields
+from dataclasses import fields
 from pathlib import Path
 from typing import Annotated
 
+from camcal.dataclass import dataclass, field
 from camcal.errors import InvalidInput
 from camcal.images.options import JPEG_QUALITY
 from camcal.options import INPUT, NUMBERS, OUTPUT, PERCENT, Argument, Option, OptionsRecord, Without, Written

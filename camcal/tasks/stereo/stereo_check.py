@@ -1,7 +1,6 @@
 """`camcal stereo check`: checks of rectified pairs before matching."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -10,6 +9,7 @@ import numpy as np
 
 from camcal import files
 from camcal.arrays import Array
+from camcal.dataclass import dataclass
 from camcal.errors import CamcalError, GateFailed
 from camcal.images.files import gray_8bit, load
 from camcal.messages import Message

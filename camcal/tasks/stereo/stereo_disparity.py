@@ -1,7 +1,6 @@
 """`camcal stereo disparity`: rectified pairs to disparity maps with their files, figures and uncertainty."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -10,6 +9,7 @@ import numpy as np
 
 from camcal import records
 from camcal.arrays import Array, PixelArray
+from camcal.dataclass import dataclass, field, replace
 from camcal.errors import FileError, GateFailed, InvalidInput
 from camcal.formats import disparity as maps
 from camcal.formats import disparity_sidecar

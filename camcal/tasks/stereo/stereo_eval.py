@@ -4,7 +4,6 @@ There is one map and one truth, or folders of both.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -12,6 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from camcal.arrays import Array
+from camcal.dataclass import dataclass, replace
 from camcal.errors import FileError, InvalidInput
 from camcal.formats import disparity
 from camcal.formats.disparity import DisparityMap, maps_in

@@ -5,7 +5,6 @@ Each pair goes from two images to a cloud and a page, with all that is written o
 
 from collections.abc import Generator, Iterator, Sequence
 from contextlib import closing
-from dataclasses import dataclass, replace
 from functools import partial
 from itertools import islice
 from pathlib import Path
@@ -13,6 +12,7 @@ from typing import Any, NamedTuple
 
 from camcal import files, records
 from camcal.arrays import PixelArray
+from camcal.dataclass import dataclass, replace
 from camcal.errors import GateFailed, InsufficientData, InvalidInput, ItemsFailed
 from camcal.formats import native
 from camcal.formats.native import untrustworthy

@@ -5,7 +5,6 @@ A point cloud is shown as its file has it, of a disparity map the points if its 
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from math import pi, radians
 from pathlib import Path
 from types import MappingProxyType
@@ -13,6 +12,7 @@ from types import MappingProxyType
 import numpy as np
 
 from camcal import files
+from camcal.dataclass import dataclass
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.files import read_bytes
 from camcal.formats import disparity, pointclouds
