@@ -35,7 +35,7 @@ LINES = {
     "progress": 149,
     "quality": 3230,
     "raw": 5022,
-    "records": 155,
+    "records": 732,
     "report": 7382,
     "run": 3677,
     "simulate": 1708,
