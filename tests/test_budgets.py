@@ -47,7 +47,7 @@ LINES = {
     "urls": 99,
 }
 PARTS = {"modules": 513, "records": 732, "records named in one module": 210, "short functions with one reference": 480}
-PASSED = {"modules": 109, "functions": 1035, "records": 0}  # from a table of detections to a camera file
+PASSED = {"modules": 109, "functions": 1035, "records": 117}  # from a table of detections to a camera file
 SHORT = 5  # lines of a function's body, which could as well stand where it is called
 
 
