@@ -82,7 +82,7 @@ def test_a_name_that_people_look_for_in_the_package_is_answered(name):
 def test_imports_of_modules_do_not_wait_for_a_search_of_names_alike():
     code = "import camcal, sys; from camcal import records, urls; print('difflib' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "False\n"
-    with pytest.raises(AttributeError, match="has no attribute 'stereo' before 'import camcal.stereo'"):
+    with pytest.raises(AttributeError, match=r"has no attribute 'stereo' before 'import camcal\.stereo'"):
         camcal.__getattr__("stereo")
 
 
