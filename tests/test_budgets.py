@@ -14,7 +14,7 @@ from test_layers import PACKAGE, modules, room
 from camcal.formats import detections
 
 LINES = {
-    "__init__": 37,
+    "__init__": 45,
     "__main__": 6,
     "arrays": 42,
     "calibrate": 11260,
@@ -46,7 +46,7 @@ LINES = {
     "tasks": 25392,
     "urls": 99,
 }
-PARTS = {"modules": 513, "records": 732, "records named in one module": 210, "short functions with one reference": 480}
+PARTS = {"modules": 513, "records": 732, "records named in one module": 210, "short functions with one reference": 481}
 PASSED = {"modules": 109, "functions": 1035, "records": 117}  # from a table of detections to a camera file
 SHORT = 5  # lines of a function's body, which could as well stand where it is called
 
