@@ -21,9 +21,17 @@ def _homes() -> dict[str, tuple[str, str]]:
     return {name: (module, attribute) for module, attribute, name in sorted(listed, key=lambda line: line[2])}
 
 
+@cache
+def _modules() -> set[str]:
+    """Return the names of what stands in the package."""
+    return {path.stem for path in Path(__file__).parent.iterdir()}
+
+
 def __getattr__(name: str) -> object:
     if name == "__all__":
         return list(_homes())
+    if name in _modules():  # `from camcal import name` asks here first: no error that anybody sees
+        raise AttributeError(f"module 'camcal' has no attribute {name!r} before 'import camcal.{name}'")
     if name.startswith("_") or name not in _homes():
         from camcal.records import missing
 

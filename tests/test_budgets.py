@@ -14,39 +14,40 @@ from test_layers import PACKAGE, modules, room
 from camcal.formats import detections
 
 LINES = {
-    "__init__": 37,
+    "__init__": 45,
     "__main__": 6,
     "arrays": 42,
-    "calibrate": 11264,
-    "cameras": 4250,
+    "calibrate": 11260,
+    "cameras": 4249,
     "cli": 3688,
+    "dataclass": 138,
     "errors": 137,
-    "estimate": 8568,
+    "estimate": 8564,
     "files": 398,
-    "formats": 13935,
+    "formats": 13936,
     "geometry": 1012,
     "images": 2191,
     "messages": 246,
     "opencv": 171,
     "optics": 299,
-    "options": 396,
+    "options": 397,
     "parsing": 86,
     "progress": 149,
-    "quality": 3230,
-    "raw": 5022,
+    "quality": 3228,
+    "raw": 5023,
     "records": 732,
     "report": 7382,
     "run": 3677,
-    "simulate": 1708,
+    "simulate": 1710,
     "solve": 1863,
-    "stereo": 5110,
+    "stereo": 5107,
     "system": 281,
-    "targets": 7153,
-    "tasks": 25383,
+    "targets": 7150,
+    "tasks": 25392,
     "urls": 99,
 }
-PARTS = {"modules": 512, "records": 732, "records named in one module": 210, "short functions with one reference": 476}
-PASSED = {"modules": 108, "functions": 1027, "records": 117}  # from a table of detections to a camera file
+PARTS = {"modules": 513, "records": 732, "records named in one module": 210, "short functions with one reference": 481}
+PASSED = {"modules": 109, "functions": 1035, "records": 117}  # from a table of detections to a camera file
 SHORT = 5  # lines of a function's body, which could as well stand where it is called
 
 

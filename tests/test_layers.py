@@ -17,7 +17,19 @@ PACKAGE = Path(camcal.__file__).parent
 
 # From left to right; packages that share a place may not import each other.
 LAYERS = (
-    {"errors", "messages", "arrays", "records", "parsing", "options", "progress", "system", "files", "opencv"}
+    {
+        "errors",
+        "messages",
+        "arrays",
+        "dataclass",
+        "records",
+        "parsing",
+        "options",
+        "progress",
+        "system",
+        "files",
+        "opencv",
+    }
     | {"urls"},
     {"geometry", "solve", "optics"},
     {"cameras"},

@@ -1,5 +1,7 @@
 """What records show of themselves in a notebook, what they say of names that do not exist, and their documents."""
 
+import subprocess
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
@@ -75,6 +77,13 @@ def test_a_name_that_people_look_for_in_the_package_is_answered(name):
     with pytest.raises(AttributeError, match="module 'camcal' has no attribute") as caught:
         getattr(camcal, name)
     assert str(caught.value).endswith(f"; use {ELSEWHERE[name]}")
+
+
+def test_imports_of_modules_do_not_wait_for_a_search_of_names_alike():
+    code = "import camcal, sys; from camcal import records, urls; print('difflib' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "False\n"
+    with pytest.raises(AttributeError, match=r"has no attribute 'stereo' before 'import camcal\.stereo'"):
+        camcal.__getattr__("stereo")
 
 
 def test_a_name_that_people_look_for_in_a_result_is_answered(results):

@@ -23,7 +23,7 @@ def note(frame: FrameType, event: str, _: object) -> None:
         return
     if code.co_filename.startswith(ROOT) and not code.co_qualname.endswith(INNER):
         functions.add((code.co_filename, code.co_qualname))
-    elif code.co_filename == "<string>" and code.co_name == "__init__":  # of a dataclass
+    elif code.co_filename.endswith(".__init__>"):  # of a data class
         made = type(frame.f_locals.get("self"))
         if made.__module__.startswith("camcal"):
             records.add(made)

@@ -130,7 +130,8 @@ def extended(gray: Array, checker: Checker) -> Checker:
     """
     for _ in range(MAX_EXTENSION):
         wide = grids.padded(checker.grid)
-        beyond = np.pad(np.zeros_like(checker.found), 1, constant_values=True)
+        beyond = np.ones(wide.shape[:2], dtype=bool)
+        beyond[1:-1, 1:-1] = False
         places = np.where(beyond[..., None], grids.predict(wide), wide)
         if not any(_sides(_find_hints(gray, places, beyond, checker))):
             break

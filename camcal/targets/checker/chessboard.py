@@ -9,6 +9,7 @@ have the colours of the board, end where the image shows the board to end, and h
 Nothing is guessed: if more than one is left that a look at the board could tell apart, the pattern has no place.
 """
 
+from collections.abc import Iterator
 from dataclasses import replace
 from itertools import chain
 
@@ -65,7 +66,7 @@ def _judge(gray: Array, checker: Checker, board: Board, *, partial: bool) -> Boa
         return BoardDetection.nothing(reason, refused=checker.grid)
     places = fitting(checker, board)
     if not whole:
-        ends = _ends(gray, checker)
+        ends = np.array([*_ends(gray, checker)])
         places = [ids for ids in places if not (ends & ~_ending_on(board, ids)).any()]
     if board.dots:
         places = select_dotted(gray, checker, places, board)
@@ -73,8 +74,8 @@ def _judge(gray: Array, checker: Checker, board: Board, *, partial: bool) -> Boa
     if grid is not None:
         seen = BoardDetection.of(clear_corners(gray, Checker(grid, checker.sign, checker.contrast)))
         # most sides (of four) of an inverted pattern end with a dark margin, and none with a bright one
-        unbounded = seen.found and whole and not _ends(gray, checker).any()
-        inverted = unbounded and bool(_ends(np.asarray(WHITE - gray), checker).mean() > INVERTED)
+        unbounded = seen.found and whole and not any(_ends(gray, checker))
+        inverted = unbounded and bool(np.mean([*_ends(np.asarray(WHITE - gray), checker)]) > INVERTED)
         return replace(seen, inverted=inverted)
     if whole and board.dots:
         reason = "the three dots that define its orientation are not visible"
@@ -162,15 +163,15 @@ def _ending_on(board: Board, ids: Array) -> Array:
     return np.array(sides)
 
 
-def _ends(gray: Array, checker: Checker) -> Array:
-    """Return on which sides (4,) of a pattern, top, bottom, left, right, the image shows the end of the board."""
+def _ends(gray: Array, checker: Checker) -> Iterator[bool]:
+    """Yield for the top, bottom, left and right of a pattern whether the image shows the end of the board there."""
     wide = grids.predict(grids.padded(checker.grid))
     along, down = np.moveaxis(grids.steps(wide), -1, 0)
     places, across, downwards = (grids.outer(values) for values in (wide, along, down))
     beside = (*across[:2], *downwards[2:])
     outward = (-downwards[0], downwards[1], -across[2], across[3])
-    sides = zip(places, beside, outward, strict=True)
-    return np.array([_has_rim(gray, *side, checker.contrast) for side in sides])
+    for side in zip(places, beside, outward, strict=True):
+        yield _has_rim(gray, *side, checker.contrast)
 
 
 def _has_rim(gray: Array, beyond: Array, along: Array, outward: Array, contrast: float) -> bool:
