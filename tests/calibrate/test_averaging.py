@@ -8,13 +8,7 @@ import pytest
 
 from camcal import calibrate
 from camcal.calibrate.effects import posterior, scaled
-from camcal.calibrate.influence import influence
-from camcal.calibrate.jackknife import (
-    averaged,
-    covariance_of,
-    image_metric,
-    weights_of,
-)
+from camcal.calibrate.jackknife import averaged, covariance_of, image_metric, influence, weights_of
 from camcal.calibrate.problem import BoardProblem, State
 from camcal.geometry import rotation as so3
 from camcal.solve.least_squares import assemble

@@ -11,6 +11,7 @@ from camcal.calibrate.robot import estimator
 from camcal.calibrate.robot.estimator import estimate_robot
 from camcal.calibrate.robot.problem import RobotPoses, SeenPoses
 from camcal.calibrate.robot.reading import (
+    Motion,
     duplicates,
     fits_better,
     moved_from,
@@ -20,7 +21,6 @@ from camcal.calibrate.robot.reading import (
     undetermined_axis,
 )
 from camcal.calibrate.robot.start import Poses, _rotation, _weights, closed_form, pairs_of
-from camcal.calibrate.robot.timing import Motion
 from camcal.errors import InsufficientData
 from camcal.formats.pose_text import form_named
 from camcal.formats.robot_poses import RobotRows

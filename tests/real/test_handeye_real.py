@@ -17,8 +17,8 @@ from camcal.formats import cameras, detections
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
 from camcal.tasks.calibration.calibrate import calibrate
+from camcal.tasks.calibration.check_options import HandEyeOptions
 from camcal.tasks.calibration.handeye import handeye
-from camcal.tasks.calibration.handeye_options import HandEyeOptions
 from camcal.tasks.calibration.options import CalibrateOptions
 
 PUBLISHED = np.array([0.05772, -0.03392, -0.04228])  # of eMc, by ViSP, with residuals of 5.4 mm and 0.46°

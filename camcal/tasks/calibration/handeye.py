@@ -15,8 +15,7 @@ from camcal.calibrate.robot.start import closed_form
 from camcal.cameras.observations import Observations
 from camcal.dataclass import dataclass, replace
 from camcal.errors import InvalidInput, NotConverged
-from camcal.formats import cameras, frames, native, provenance, robot_poses
-from camcal.formats.addresses import split_address
+from camcal.formats import cameras, frames, native, provenance, robot_poses, split_address
 from camcal.formats.camera_file import (
     STEP,
     CameraEntry,
@@ -36,7 +35,7 @@ from camcal.run.outputs import claim, writes
 from camcal.targets.board import Board, Surface
 from camcal.targets.detection import BoardDetection
 from camcal.tasks.calibration.board_views import board_views, view_settings
-from camcal.tasks.calibration.handeye_options import HandEyeOptions
+from camcal.tasks.calibration.check_options import HandEyeOptions
 from camcal.tasks.calibration.handeye_poses import (
     ReadPoses,
     SeenBoard,
