@@ -103,7 +103,7 @@ def test_the_jackknife_moves_the_lens_as_solving_again_without_a_view(model):
 
 @pytest.mark.parametrize("model", [{"points": 0.05}, {"points": 0.2, "effects": 2}, {"points": 5.0, "seed": 4}])
 def test_the_jackknife_determines_the_points_of_the_board_anew_without_a_view(model, monkeypatch):
-    monkeypatch.setattr(calibrate.influence, "_SAFETY", 1e9)
+    monkeypatch.setattr(calibrate.jackknife, "_SAFETY", 1e9)
     linear = Linear(**model)
     estimate = linear.estimate()
     moved = np.array([linear.solution(views=without([view])) for view in range(VIEWS)]) - linear.solution()
