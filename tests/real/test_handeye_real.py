@@ -10,8 +10,7 @@ from robot_scenes import stacked
 
 from camcal.calibrate.known_cameras import KnownBoard, KnownCamera, estimate_known, prior_of
 from camcal.calibrate.robot.estimator import estimate_robot
-from camcal.calibrate.robot.problem import RobotPoses
-from camcal.calibrate.robot.start import Poses, closed_form
+from camcal.calibrate.robot.problem import Poses, RobotPoses, closed_form
 from camcal.cameras.observations import Observations
 from camcal.formats import cameras, detections
 from camcal.geometry import rotation as so3

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.calibrate.robot.start import HandEye, Poses, angle_mismatch, closed_form, motions, pairs_of, turn_angles
+from camcal.calibrate.robot.problem import HandEye, Poses, angle_mismatch, closed_form, motions, pairs_of, turn_angles
 from camcal.dataclass import dataclass, replace
 from camcal.geometry import rotation as so3
 

@@ -10,8 +10,7 @@ from camcal import files
 from camcal.arrays import Array
 from camcal.calibrate.known_cameras import KnownBoard, KnownCamera, estimate_known, freed, prior_of, wide_prior_of
 from camcal.calibrate.robot.estimator import RobotEstimate, estimate_robot
-from camcal.calibrate.robot.problem import RobotPoses
-from camcal.calibrate.robot.start import closed_form
+from camcal.calibrate.robot.problem import RobotPoses, closed_form
 from camcal.cameras.observations import Observations
 from camcal.dataclass import dataclass, replace
 from camcal.errors import InvalidInput, NotConverged

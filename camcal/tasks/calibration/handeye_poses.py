@@ -8,7 +8,7 @@ import numpy as np
 
 from camcal import files
 from camcal.arrays import Array
-from camcal.calibrate.robot.problem import SeenPoses
+from camcal.calibrate.robot.problem import Poses, SeenPoses
 from camcal.calibrate.robot.reading import (
     LEAST_POSES,
     Motion,
@@ -21,7 +21,6 @@ from camcal.calibrate.robot.reading import (
     shift_of,
     undetermined_axis,
 )
-from camcal.calibrate.robot.start import Poses
 from camcal.dataclass import dataclass, replace
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.formats import poses as pose_files
