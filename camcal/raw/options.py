@@ -159,7 +159,7 @@ AS_IMAGES = ImageReadOptions()
 
 def _is_optical(name: str) -> bool:
     """Return whether this is the optical format of a sensor, such as 1/2.8."""
-    from camcal.optics.lens import sensor_format
+    from camcal.optics import sensor_format
 
     try:
         sensor_format(name)

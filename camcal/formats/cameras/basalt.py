@@ -81,7 +81,7 @@ def write(path: Path, file: CameraFile) -> None:
     files.write_text(path, json_text({"value0": data}))
 
 
-FORMAT = CameraFormat(
+BASALT = CameraFormat(
     name="basalt",
     title="Basalt calibration",
     suffixes=(".json",),

@@ -82,7 +82,7 @@ def write(path: Path, file: CameraFile) -> None:
     size, readout = {"w": width, "h": height}, entry.timing.get("readout_s")
     data = {
         "name": str(kept.get("camera_model") or name),
-        "note": FORMAT.note,
+        "note": GYROFLOW.note,
         "calibrated_by": "camcal",
         **dict.fromkeys(("camera_brand", "camera_model", "lens_model", "camera_setting"), ""),
         "calib_dimension": size,
@@ -106,7 +106,7 @@ def write(path: Path, file: CameraFile) -> None:
     files.write_text(path, json_text(data))
 
 
-FORMAT = CameraFormat(
+GYROFLOW = CameraFormat(
     name="gyroflow",
     title="Gyroflow lens profile",
     suffixes=(".json",),

@@ -304,7 +304,7 @@ def write(path: Path, file: CameraFile) -> None:
     )
     lines = [
         '<lensdatabase version="1">',
-        f"  <!-- {FORMAT.note} -->",
+        f"  <!-- {LENSFUN.note} -->",
         "  <lens>",
         "    <maker>camcal</maker>",
         f"    <model>{name}</model>",
@@ -320,7 +320,7 @@ def write(path: Path, file: CameraFile) -> None:
     files.write_text(path, "\n".join(lines))
 
 
-FORMAT = CameraFormat(
+LENSFUN = CameraFormat(
     name="lensfun",
     title="lensfun lens database",
     suffixes=(".xml",),

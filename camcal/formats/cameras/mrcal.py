@@ -131,7 +131,7 @@ def write(path: Path, file: CameraFile) -> None:
         lens, numbers = LENSES.written(entry.camera)
         width, height = entry.camera.image_size
         word = _word(entry.camera, lens.word, str(target))
-        lines = [f"# {FORMAT.note}", "{", f"    'lensmodel':  '{word}',"]
+        lines = [f"# {MRCAL.note}", "{", f"    'lensmodel':  '{word}',"]
         lines += [
             f"    'intrinsics': [ {_numbers(list(numbers.values()))} ],",
             f"    'extrinsics': [ {_numbers(place)} ],",
@@ -147,7 +147,7 @@ def _numbers(numbers: Sequence[Any]) -> str:
     return ", ".join(map(exact_text, numbers))
 
 
-FORMAT = CameraFormat(
+MRCAL = CameraFormat(
     name="mrcal",
     title="mrcal camera model",
     suffixes=(".cameramodel",),

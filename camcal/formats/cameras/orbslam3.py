@@ -105,10 +105,10 @@ def usage(file: CameraFile) -> str:
     """Return what has to be added, and which versions read a pair of fisheyes wrongly."""
     pair = len(file.cameras) == 2 and any("k4" in entry.camera.model.parameter_names for entry in file.cameras.values())
     doubt = "; some versions take Camera1.k1 to k4 for the second camera, too: check Settings.cc" if pair else ""
-    return f"{FORMAT.note}{doubt}"
+    return f"{ORBSLAM3.note}{doubt}"
 
 
-FORMAT = CameraFormat(
+ORBSLAM3 = CameraFormat(
     name="orbslam3",
     title="ORB-SLAM3 settings",
     suffixes=(".yaml", ".yml"),

@@ -61,7 +61,7 @@ def advise(options: AdviseOptions, progress: Progress = SILENT) -> AdviseReport:
         known, seen = known_of_file(cameras.read(path, progress), str(path), name, board), []
     advice = best_views(known, options.count, seen)
     if options.output is not None:
-        from camcal.report.figures.advice import suggested_views
+        from camcal.report.figures.board import suggested_views
         from camcal.report.figures.figure import encoded
 
         corners = np.concatenate([view.pixels for view, _ in seen]) if seen else np.zeros((0, 2))

@@ -265,7 +265,7 @@ def _write(report: CheckReport, options: CheckOptions, known: Mapping[str, Check
     if options.junit is not None:
         files.write_text(options.junit, junit(report, options.camera))
     if options.report is not None:
-        from camcal.report.page.check import check_page
+        from camcal.report.page.checks import check_page
         from camcal.report.page.record import rendered
         from camcal.tasks.reports.closing import made
 

@@ -19,16 +19,7 @@ from camcal.options import (
 )
 from camcal.raw.options import AS_IMAGES, ImageReadOptions
 from camcal.tasks.calibration.options import BEST_FRAMES, FrameOptions, ImageSize
-from camcal.tasks.options import (
-    BOARD_OPTION,
-    FIGURES,
-    PAGE,
-    WHOLE,
-    ImagePart,
-    Jobs,
-    Overwrite,
-    Recursive,
-)
+from camcal.tasks.options import BOARD_OPTION, FIGURES, PAGE, WHOLE, ImagePart, Jobs, Overwrite, Recursive
 from camcal.tasks.rigs.options import AUTO, MATCHES
 
 if TYPE_CHECKING:

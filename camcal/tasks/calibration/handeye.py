@@ -108,7 +108,7 @@ def handeye(options: HandEyeOptions, progress: Progress = SILENT) -> HandEyeRepo
         )
         native.write(options.output, written)
     if options.report is not None:
-        from camcal.report.page.handeye import handeye_page
+        from camcal.report.page.checks import handeye_page
         from camcal.report.page.record import rendered
         from camcal.tasks.reports.closing import made
 

@@ -17,7 +17,7 @@ from camcal.raw.pixel_formats import pixel_format_named
 from camcal.raw.reading import read_mosaic
 from camcal.report.table import Column
 from camcal.report.text_figures import letters
-from camcal.tasks.show_options import InspectOptions
+from camcal.tasks.file_options import InspectOptions
 
 LAYOUT_COLUMNS = (Column("size"), Column("stride"), Column("format", wraps=True))
 CHANNEL_COLUMNS = ("channel", "mean", "least", "most", "% at black", "% at white")
