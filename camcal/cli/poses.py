@@ -6,7 +6,7 @@ from camcal.cli import show
 from camcal.cli.call import Call, ImageCall
 from camcal.messages import counted
 from camcal.report.table import Column
-from camcal.tasks.calibration.handeye_options import HandEyeOptions
+from camcal.tasks.calibration.check_options import HandEyeOptions
 from camcal.tasks.fit_options import TABLE, FitOptions
 from camcal.tasks.poses.options import PnpOptions
 from camcal.tasks.poses.smooth_options import SmoothOptions, TrackingOptions

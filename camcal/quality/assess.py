@@ -13,8 +13,7 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.calibrate.intrinsics import Calibration, CandidateModel
-from camcal.calibrate.shared_residuals import CELLS, cell_numbers
-from camcal.calibrate.view_records import names_of
+from camcal.calibrate.view_records import CELLS, cell_numbers, names_of
 from camcal.cameras.directions import lens_difference
 from camcal.cameras.spline import SplinedStereographic
 from camcal.cameras.validity import ImageCircle, folds_inside

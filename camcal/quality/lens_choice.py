@@ -13,7 +13,7 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.calibrate.intrinsics import Calibration, CandidateModel
-from camcal.calibrate.shared_residuals import CellSums, cell_numbers
+from camcal.calibrate.view_records import CellSums, cell_numbers
 from camcal.solve.losses import chi_square_beyond
 
 # By how much a lens model must predict left-out views better than another to be much better: nats a corner (0.1 is 5 %

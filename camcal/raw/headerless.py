@@ -9,8 +9,8 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.dataclass import dataclass
 from camcal.errors import FileError, InvalidInput
+from camcal.raw import MONO, PATTERNS
 from camcal.raw.mosaic import require_pattern
-from camcal.raw.names import MONO, PATTERNS
 from camcal.raw.pixel_formats import FAMILIES, FORMATS, PixelFormat, frame_bytes, require_byte_order, row_bytes, unpack
 
 # Of the sensors and the modes that cameras for measuring have, (width, height); the most common ones first.

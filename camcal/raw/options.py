@@ -9,7 +9,7 @@ from camcal.dataclass import dataclass
 from camcal.errors import InvalidInput
 from camcal.options import LENS, RAW_FRAMES, SIZE, Option, OptionsRecord, Without
 from camcal.parsing import parse_integer, parse_numbers
-from camcal.raw.names import ALIGNS, AUTO, ENDIANS, GRAY, GREEN, MONO, PATTERNS
+from camcal.raw import ALIGNS, AUTO, ENDIANS, GRAY, GREEN, MONO, PATTERNS
 
 if TYPE_CHECKING:
     from camcal.raw.headerless import Layout

@@ -10,8 +10,7 @@ from camcal.cameras.catalogue import model_named
 from camcal.cameras.refit import Refit
 from camcal.dataclass import dataclass, replace
 from camcal.errors import InvalidInput
-from camcal.formats import cameras, provenance
-from camcal.formats.addresses import split_address
+from camcal.formats import cameras, provenance, split_address
 from camcal.formats.camera_file import CameraFile, Framing, framed
 from camcal.formats.cameras.nearest import Nearest, prepared
 from camcal.formats.cameras.record import EVERY_LENS, CameraFormat, Given, named

@@ -73,7 +73,7 @@ class InspectOptions(OptionsRecord):
     @property
     def address(self) -> tuple[Path, str | None]:
         """The file, and the camera in it that is meant; None for all of them."""
-        from camcal.formats.addresses import split_address
+        from camcal.formats import split_address
 
         path, name = split_address(self.file)
         return path, self.camera or name

@@ -26,7 +26,7 @@ from camcal.options import (
     Written,
     separated,
 )
-from camcal.raw.names import MONO, PATTERNS
+from camcal.raw import MONO, PATTERNS
 
 
 def board_kinds() -> list[str]:

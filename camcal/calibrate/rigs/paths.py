@@ -8,8 +8,7 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.calibrate.problem import POSE
 from camcal.calibrate.rigs.fit import RigFit
-from camcal.calibrate.robot.problem import by_factors, by_inverse
-from camcal.calibrate.robot.start import Poses
+from camcal.calibrate.robot.problem import Poses, by_factors, by_inverse
 from camcal.dataclass import dataclass
 from camcal.geometry.frame_graph import CameraLink
 

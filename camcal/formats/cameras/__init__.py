@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from camcal import files
 from camcal.cameras.model import Camera
 from camcal.errors import CamcalError, FileError, InvalidInput
-from camcal.formats.addresses import split_address
+from camcal.formats import split_address
 from camcal.formats.camera_file import CameraEntry, CameraFile, pose_between
 from camcal.formats.cameras.record import (
     ANY_FRAME,

@@ -13,10 +13,9 @@ from typing import Any
 
 from camcal import files
 from camcal.formats.camera_file import CameraEntry, CameraFile, Transform, pose_between
-from camcal.formats.cameras.lenses import OPENCV_LENSES, Lenses
 from camcal.formats.cameras.record import CameraFormat, Given, Source, name_of, opencv_usage
 from camcal.formats.cameras.syntax import toml_text, toml_values
-from camcal.formats.cameras.values import Values
+from camcal.formats.cameras.values import OPENCV_LENSES, Lenses, Values
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import JOINT, Pose
 

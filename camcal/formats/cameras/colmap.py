@@ -15,9 +15,8 @@ import numpy as np
 from camcal import files
 from camcal.errors import FileError, InvalidInput
 from camcal.formats.camera_file import CameraEntry, CameraFile, Transform, pose_between
-from camcal.formats.cameras.lenses import Lenses
 from camcal.formats.cameras.record import CAMERA, CameraFormat, Given, Source, camera_of, recognise
-from camcal.formats.cameras.values import Values
+from camcal.formats.cameras.values import Lenses, Values
 from camcal.formats.documents import Document
 from camcal.formats.emit import exact_text
 from camcal.geometry import rotation as so3

@@ -17,10 +17,9 @@ import numpy as np
 from camcal import files
 from camcal.formats import emit
 from camcal.formats.camera_file import CameraEntry, CameraFile, Transform, pose_between
-from camcal.formats.cameras.lenses import Lenses
 from camcal.formats.cameras.record import CAMERA, LEFT, RIGHT, CameraFormat, Given, Source, read_only
 from camcal.formats.cameras.syntax import assigned
-from camcal.formats.cameras.values import Values
+from camcal.formats.cameras.values import Lenses, Values
 from camcal.formats.documents import parse_foreign
 from camcal.geometry.pose import JOINT, Pose
 

@@ -19,10 +19,9 @@ from camcal import files
 from camcal.arrays import Array
 from camcal.cameras.model import Camera
 from camcal.formats.camera_file import CameraEntry, CameraFile, Transform, pose_between
-from camcal.formats.cameras.lenses import OPENCV_LENSES, Lenses
 from camcal.formats.cameras.record import CAMERA, CameraFormat, Given, Source, name_of, opencv_usage
 from camcal.formats.cameras.syntax import json_text, json_values
-from camcal.formats.cameras.values import Values
+from camcal.formats.cameras.values import OPENCV_LENSES, Lenses, Values
 from camcal.geometry.pose import JOINT, Pose
 
 DEPTHAI_LENSES = Lenses("\n".join(OPENCV_LENSES.splitlines()[-2:]))  # fourteen coefficients, and a fisheye's

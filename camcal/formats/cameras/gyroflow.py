@@ -14,10 +14,9 @@ import numpy as np
 
 from camcal import files
 from camcal.formats.camera_file import CameraEntry, CameraFile
-from camcal.formats.cameras.lenses import Lenses
 from camcal.formats.cameras.record import CAMERA, CameraFormat, Given, Source
 from camcal.formats.cameras.syntax import json_text, json_values
-from camcal.formats.cameras.values import Values
+from camcal.formats.cameras.values import Lenses, Values
 
 VENDOR_KEY = "x_gyroflow"
 LENSES = Lenses("""

@@ -19,9 +19,8 @@ from camcal import files
 from camcal.errors import InvalidInput
 from camcal.formats import emit
 from camcal.formats.camera_file import CameraEntry, CameraFile, Transform, pose_between
-from camcal.formats.cameras.lenses import Lenses
 from camcal.formats.cameras.record import CameraFormat, Given, Source
-from camcal.formats.cameras.values import Values
+from camcal.formats.cameras.values import Lenses, Values
 from camcal.formats.documents import parse_foreign
 from camcal.geometry.pose import JOINT, Pose
 from camcal.messages import Message

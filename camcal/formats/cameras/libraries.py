@@ -21,10 +21,9 @@ from camcal.cameras.model import Camera
 from camcal.errors import InvalidInput
 from camcal.formats import emit
 from camcal.formats.camera_file import CameraEntry, CameraFile, Transform, pose_between
-from camcal.formats.cameras.lenses import Lens, Lenses
 from camcal.formats.cameras.record import CAMERA, LEFT, RIGHT, CameraFormat, Given, Source, name_of
 from camcal.formats.cameras.syntax import json_text, json_values, xml_lines, xml_root, xml_values
-from camcal.formats.cameras.values import Values
+from camcal.formats.cameras.values import Lens, Lenses, Values
 from camcal.formats.documents import parse_foreign
 
 BOOFCV_LENSES = Lenses(

@@ -24,11 +24,10 @@ from camcal.cameras.model import Camera
 from camcal.errors import Located
 from camcal.formats.camera_file import CameraEntry, CameraFile, Transform
 from camcal.formats.cameras import mat
-from camcal.formats.cameras.lenses import Lenses
 from camcal.formats.cameras.ocamcalib import polynomial_camera
 from camcal.formats.cameras.record import CAMERA, LEFT, RIGHT, CameraFormat, Given, Source
 from camcal.formats.cameras.syntax import assigned, json_text, json_values
-from camcal.formats.cameras.values import Values
+from camcal.formats.cameras.values import Lenses, Values
 from camcal.formats.documents import Document
 from camcal.formats.emit import exact_text
 from camcal.geometry import rotation as so3

@@ -18,9 +18,8 @@ from camcal.cameras.model import Camera
 from camcal.cameras.spline import SplinedStereographic
 from camcal.errors import FileError, InvalidInput
 from camcal.formats.camera_file import CameraEntry, CameraFile, Transform, ValidRegion, pose_between
-from camcal.formats.cameras.lenses import Lenses, Size
 from camcal.formats.cameras.record import CAMERA, LEFT, RIGHT, CameraFormat, Given, Source
-from camcal.formats.cameras.values import Values
+from camcal.formats.cameras.values import Lenses, Size, Values
 from camcal.formats.documents import Document
 from camcal.formats.emit import exact_text
 from camcal.geometry import rotation as so3

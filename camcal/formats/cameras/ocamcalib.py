@@ -21,9 +21,8 @@ from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.errors import InvalidInput
 from camcal.formats.camera_file import CameraEntry, CameraFile
-from camcal.formats.cameras.lenses import Lenses
 from camcal.formats.cameras.record import CAMERA, CameraFormat, Given, Source, name_of, read_only
-from camcal.formats.cameras.values import Values
+from camcal.formats.cameras.values import Lenses, Values
 from camcal.formats.documents import parse_foreign
 from camcal.formats.emit import exact_text
 

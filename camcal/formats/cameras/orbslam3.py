@@ -15,9 +15,8 @@ from camcal import files
 from camcal.errors import InvalidInput
 from camcal.formats.camera_file import CameraEntry, CameraFile, Transform, pose_between
 from camcal.formats.cameras import file_storage, ros
-from camcal.formats.cameras.lenses import Lenses
 from camcal.formats.cameras.record import CAMERA, LEFT, RIGHT, CameraFormat, Given, Source
-from camcal.formats.cameras.values import Values
+from camcal.formats.cameras.values import Lenses, Values
 from camcal.formats.documents import parse_foreign
 from camcal.geometry.pose import JOINT
 

@@ -25,10 +25,9 @@ import numpy as np
 from camcal import files
 from camcal.cameras.model import Camera
 from camcal.formats.camera_file import CameraEntry, CameraFile
-from camcal.formats.cameras.lenses import Lens, Lenses
 from camcal.formats.cameras.record import CAMERA, CameraFormat, Given, Source, name_of
 from camcal.formats.cameras.syntax import json_text, json_values, xml_lines, xml_root, xml_values
-from camcal.formats.cameras.values import Values
+from camcal.formats.cameras.values import Lens, Lenses, Values
 from camcal.formats.documents import Document
 from camcal.messages import Message
 

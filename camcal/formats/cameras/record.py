@@ -21,7 +21,7 @@ from camcal.cameras.validity import valid_block
 from camcal.dataclass import dataclass
 from camcal.errors import InvalidInput
 from camcal.formats.camera_file import CameraFile
-from camcal.formats.cameras.lenses import Lenses
+from camcal.formats.cameras.values import Lenses
 from camcal.formats.native import NAME
 from camcal.geometry.pose import JOINT
 

@@ -10,8 +10,7 @@ from camcal import files
 from camcal.cameras.model import require_central
 from camcal.dataclass import dataclass, replace
 from camcal.errors import InvalidInput
-from camcal.formats import boards, cameras
-from camcal.formats.addresses import split_address
+from camcal.formats import boards, cameras, split_address
 from camcal.formats.camera_file import CameraFile
 from camcal.geometry.pose import Pose
 from camcal.messages import counted

@@ -15,14 +15,13 @@ from camcal.calibrate.several_cameras import name_groups
 from camcal.cameras.catalogue import DEFAULT_MODEL, model_named
 from camcal.cameras.validity import ImageCircle
 from camcal.errors import GateFailed, InsufficientData, InvalidInput, NotConverged
-from camcal.formats import detections, native, native_entry
-from camcal.formats.addresses import split_address
+from camcal.formats import detections, native, native_entry, split_address
 from camcal.formats.camera_file import CameraEntry
 from camcal.messages import Message
 from camcal.options import command_line
 from camcal.progress import SILENT, Progress, stage, warn_of
 from camcal.quality.projection_uncertainty import ProjectionUncertainty, too_uncertain
-from camcal.raw.names import COLOURS
+from camcal.raw import COLOURS
 from camcal.report.calibration import as_data, candidates_data, time_data, uncertainty_data
 from camcal.run.outputs import writes
 from camcal.targets.board import Board

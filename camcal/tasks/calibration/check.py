@@ -14,8 +14,7 @@ from camcal.arrays import FloatArray
 from camcal.calibrate.known_cameras import KnownBoard
 from camcal.dataclass import dataclass, replace
 from camcal.errors import GateFailed, InsufficientData, InvalidInput
-from camcal.formats import cameras
-from camcal.formats.addresses import split_address
+from camcal.formats import cameras, split_address
 from camcal.formats.boards import short_form
 from camcal.formats.camera_file import CameraEntry, CameraFile, pair_covariance, parameters_covariance, pose_between
 from camcal.formats.poses.record import Poses

@@ -17,8 +17,7 @@ from camcal.cameras.model import Camera
 from camcal.cameras.validity import ImageCircle
 from camcal.dataclass import dataclass, field, replace
 from camcal.errors import CamcalError, InvalidInput
-from camcal.formats import cameras, native, provenance
-from camcal.formats.addresses import split_address
+from camcal.formats import cameras, native, provenance, split_address
 from camcal.formats.camera_file import CalibrationVerdict, CameraEntry, CameraFile, verdict_of_view
 from camcal.formats.maps import mesh_nodes, write_maps, write_mesh
 from camcal.formats.tables import Table, cell, csv_rows, numbered_lines

@@ -11,8 +11,7 @@ from camcal.cameras.model import Camera
 from camcal.cameras.validity import ImageCircle, field_size
 from camcal.dataclass import dataclass, field, replace
 from camcal.errors import InvalidInput
-from camcal.formats import cameras
-from camcal.formats.addresses import split_address
+from camcal.formats import cameras, split_address
 from camcal.messages import Message
 from camcal.optics import SensorFormat, effective_f_number, pixel_pitch, sensor_format
 from camcal.records import entry

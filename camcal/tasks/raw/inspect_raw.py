@@ -8,10 +8,10 @@ import numpy as np
 
 from camcal.dataclass import dataclass
 from camcal.images.image import RAW_SUFFIXES
+from camcal.raw import MONO
 from camcal.raw.frame_facts import BINS, ChannelFacts, channel_facts
 from camcal.raw.headerless import CandidateLayout, fitting_layouts, length_of
 from camcal.raw.mosaic import Capture, Mosaic, pattern_words
-from camcal.raw.names import MONO
 from camcal.raw.options import BARE_SUFFIXES, HEADERLESS_SUFFIXES
 from camcal.raw.pixel_formats import pixel_format_named
 from camcal.raw.reading import read_mosaic

@@ -10,8 +10,7 @@ import numpy as np
 from camcal.arrays import Array, FloatArray
 from camcal.dataclass import dataclass, field, replace
 from camcal.errors import InvalidInput
-from camcal.formats import disparity, disparity_sidecar, pointclouds, pose_text
-from camcal.formats.addresses import split_address
+from camcal.formats import disparity, disparity_sidecar, pointclouds, pose_text, split_address
 from camcal.formats.disparity import DisparityMap
 from camcal.formats.disparity_sidecar import Sidecar
 from camcal.images.files import load

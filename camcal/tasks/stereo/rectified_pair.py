@@ -15,8 +15,7 @@ from camcal.arrays import FloatArray
 from camcal.cameras.model import Camera
 from camcal.dataclass import dataclass, field
 from camcal.errors import FileError, InvalidInput
-from camcal.formats import cameras, disparity, disparity_sidecar, pair_calibration
-from camcal.formats.addresses import split_address
+from camcal.formats import cameras, disparity, disparity_sidecar, pair_calibration, split_address
 from camcal.formats.camera_file import CameraFile, Transform, pair_covariance
 from camcal.formats.cameras.record import MissingSize
 from camcal.formats.disparity import DisparityMap

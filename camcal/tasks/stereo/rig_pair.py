@@ -15,8 +15,7 @@ from camcal.cameras.model import Camera
 from camcal.cameras.validity import ImageCircle
 from camcal.dataclass import dataclass, replace
 from camcal.errors import CamcalError, InvalidInput
-from camcal.formats import provenance
-from camcal.formats.addresses import split_address
+from camcal.formats import provenance, split_address
 from camcal.formats.camera_file import (
     STEP,
     CameraEntry,
