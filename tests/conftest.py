@@ -17,6 +17,8 @@ from hypothesis import settings
 from camcal.run.process import BLAS_THREADS
 
 PROJECT = Path(__file__).parents[1]
+TESTS = PROJECT / "tests"
+DETECTORS = TESTS / "targets", TESTS / "calibrate" / "test_intrinsics.py"
 
 os.environ.pop("GITHUB_ACTIONS", None)  # its annotations are tested by name
 # as the command line has it, and before numpy is there: on small matrices many threads wait for each other
@@ -42,6 +44,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if "real_data" in getattr(item, "fixturenames", ()):
             item.add_marker(pytest.mark.slow)
+        if any(item.path.is_relative_to(each) for each in DETECTORS):
+            item.add_marker(pytest.mark.detectors)
     long = {item.path for item in items if item.get_closest_marker("slow")}
     items.sort(key=lambda item: item.path not in long)
 
