@@ -34,10 +34,16 @@ def views_of(seed, *, frames=150, noise_px=0.1, dropped=0.0, **camera):
     return Clocked(**{"readout": READOUT_S} | camera).views(by_hand(rng), frames, rng, noise_px, dropped)
 
 
+LENSES = {}
+
+
 def lens_of(views):
-    """Return a brief calibration of rows as if they had been taken at once."""
-    [found] = compare_models(views, BOARD, Options(LENS.model), [LENS.model])
-    return found.calibration
+    """Return a brief calibration of rows as if they had been taken at once; that of the same corners is made once."""
+    corners = tuple((view.image, view.pixels.tobytes()) for view in views)
+    if corners not in LENSES:
+        [found] = compare_models(views, BOARD, Options(LENS.model), [LENS.model])
+        LENSES[corners] = found.calibration
+    return LENSES[corners]
 
 
 @cache

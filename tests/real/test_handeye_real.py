@@ -25,26 +25,26 @@ PUBLISHED = np.array([0.05772, -0.03392, -0.04228])  # of eMc, by ViSP, with res
 COUNT = 8
 
 
-@pytest.fixture
-def franka(real_data, tmp_path):
+@pytest.fixture(scope="module")
+def franka(real_data, tmp_path_factory):
     """A folder with a camera file, corners, and the poses of the hand with the names of their images; these poses."""
-    folder = real_data / "pnp" / "visp-handeye-chessboard"
+    folder, made = real_data / "pnp" / "visp-handeye-chessboard", tmp_path_factory.mktemp("franka")
     robot = []
     for number in range(1, COUNT + 1):
         text = (folder / f"franka_pose_rPe_{number}.yaml").read_text()
         robot.append(np.array(re.findall(r"\[([-\d.e]+)\]", text), float))
     named = zip(range(1, COUNT + 1), robot, strict=True)
     lines = [f"franka_image-{number}.png,{','.join(map(str, row))}" for number, row in named]
-    (tmp_path / "robot.csv").write_text("\n".join(lines))
+    (made / "robot.csv").write_text("\n".join(lines))
     calibrate(
         CalibrateOptions(
             (str(folder),),
             board="chessboard:9x6:23.6mm",
-            output=tmp_path / "camera.yaml",
-            save_detections=tmp_path / "corners.csv",
+            output=made / "camera.yaml",
+            save_detections=made / "corners.csv",
         )
     )
-    return tmp_path, [Pose.from_vector(row[3:], row[:3]) for row in robot]
+    return made, [Pose.from_vector(row[3:], row[:3]) for row in robot]
 
 
 def test_a_camera_on_a_real_hand_is_where_visp_has_it_and_its_wrong_lengths_are_told(franka):
