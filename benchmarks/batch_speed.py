@@ -36,8 +36,8 @@ from camcal.images.options import ViewOptions
 from camcal.images.remap import Maps, build_maps
 from camcal.images.views import make_view
 from camcal.run.process import available_cores, one_opencv_thread
+from camcal.tasks.calibration.drawing_options import UndistortOptions
 from camcal.tasks.calibration.undistort import undistort
-from camcal.tasks.calibration.undistort_options import UndistortOptions
 
 SMALL = (640, 480)
 DIFFERENT = 8  # images; the others are the same again under other names

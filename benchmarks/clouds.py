@@ -32,10 +32,10 @@ from peers.cloud_peers import measured
 from camcal.formats import disparity, pointclouds
 from camcal.images.files import load
 from camcal.run.process import over_threads
+from camcal.stereo.cloud import CloudMaker, normals, one_per_voxel
+from camcal.stereo.depth import Frame, StereoImage, row_blocks
 from camcal.stereo.disparity import StereoGeometry
-from camcal.stereo.points.cloud import CloudMaker, normals, one_per_voxel
-from camcal.stereo.points.frames import Frame, StereoImage, row_blocks
-from camcal.stereo.points.selection import Selection, has_neighbours, select
+from camcal.stereo.selection import Selection, has_neighbours, select
 from camcal.tasks.stereo.cloud import in_order_on_threads
 
 PEERS = Path(__file__).parent / "peers" / "cloud_peers.py"

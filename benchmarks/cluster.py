@@ -19,8 +19,8 @@ from camcal.formats.camera_file import CameraEntry, CameraFile
 from camcal.images.files import save
 from camcal.progress import Silent
 from camcal.run.options import BatchOptions
+from camcal.tasks.calibration.drawing_options import UndistortOptions
 from camcal.tasks.calibration.undistort import undistort
-from camcal.tasks.calibration.undistort_options import UndistortOptions
 
 SIZE = (1920, 1080)
 LENS = Camera(model_named("opencv5"), SIZE, np.array([1400.0, 1400, 959.5, 539.5, -0.25, 0.06, 0, 0, 0]))

@@ -19,7 +19,7 @@ import numpy as np
 
 from camcal.calibrate.known_cameras import KnownBoard, KnownCamera, estimate_known, prior_of
 from camcal.calibrate.robot.estimator import estimate_robot
-from camcal.calibrate.robot.problem import OWN, RobotPoses, RobotProblem
+from camcal.calibrate.robot.problem import OWN, Poses, RobotPoses, RobotProblem, closed_form
 from camcal.calibrate.robot.reading import (
     Reading,
     duplicates,
@@ -29,7 +29,6 @@ from camcal.calibrate.robot.reading import (
     shift_of,
     undetermined_axis,
 )
-from camcal.calibrate.robot.start import Poses, closed_form
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.cameras.observations import Observations

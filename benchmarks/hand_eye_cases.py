@@ -28,8 +28,8 @@ from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
 from camcal.simulate.scene import observe
 from camcal.targets.detection import Detections
+from camcal.tasks.calibration.check_options import HandEyeOptions
 from camcal.tasks.calibration.handeye import handeye
-from camcal.tasks.calibration.handeye_options import HandEyeOptions
 
 CAMERA_NOISE = (1e-4, np.radians(0.02))
 ROBOT_NOISE = (3e-4, np.radians(0.03))

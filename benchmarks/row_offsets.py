@@ -20,8 +20,8 @@ import cv2
 import numpy as np
 from stereo_pairs import Pair, pairs_in
 
-from camcal.stereo.pair.alignment import Residual, quick_residual, vertical_residual
-from camcal.stereo.pair.coarse import coarse_map
+from camcal.stereo.alignment import Residual, quick_residual, vertical_residual
+from camcal.stereo.coarse import coarse_map
 
 TIMES = 6
 

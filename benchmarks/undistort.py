@@ -32,8 +32,8 @@ from camcal.images.options import ViewOptions
 from camcal.images.remap import build_maps
 from camcal.images.views import make_view
 from camcal.run.process import available_cores
+from camcal.tasks.calibration.drawing_options import UndistortOptions
 from camcal.tasks.calibration.undistort import undistort
-from camcal.tasks.calibration.undistort_options import UndistortOptions
 
 SIZE = (4000, 3000)
 CAMERA = Camera(

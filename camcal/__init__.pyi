@@ -74,6 +74,8 @@ from camcal.raw.develop import develop as develop
 from camcal.raw.mosaic import Mosaic as Mosaic
 from camcal.raw.options import Development as Development
 from camcal.raw.reading import read_mosaic as read_mosaic
+from camcal.stereo.cloud import CloudMaker as CloudMaker
+from camcal.stereo.depth import StereoImage as StereoImage
 from camcal.stereo.disparity import Confidence as Confidence
 from camcal.stereo.disparity import Disparity as Disparity
 from camcal.stereo.disparity import StereoGeometry as StereoGeometry
@@ -81,8 +83,6 @@ from camcal.stereo.disparity import of_pair as stereo_geometry
 from camcal.stereo.matching.match import match as match_pair
 from camcal.stereo.options import MatchOptions as MatchOptions
 from camcal.stereo.options import RectifiedViewOptions as RectifiedViewOptions
-from camcal.stereo.points.cloud import CloudMaker as CloudMaker
-from camcal.stereo.points.frames import StereoImage as StereoImage
 from camcal.stereo.rectify.plan import PairMaps as PairMaps
 from camcal.stereo.rectify.plan import build_pair_maps as build_pair_maps
 from camcal.stereo.rectify.plan import plan_rectification as plan_rectification

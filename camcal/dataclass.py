@@ -112,7 +112,8 @@ def _are_equal(self: Any, other: object) -> bool:
 
 
 def _hash(self: Any) -> int:
-    return hash(_values(self))
+    counted = (own for own in dataclasses.fields(self) if (own.compare if own.hash is None else own.hash))
+    return hash(tuple(getattr(self, own.name) for own in counted))
 
 
 @recursive_repr()

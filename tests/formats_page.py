@@ -9,9 +9,8 @@ from pathlib import Path
 from camcal.cameras.catalogue import MODELS
 from camcal.cameras.lens import CameraModel
 from camcal.formats.cameras import FORMATS
-from camcal.formats.cameras.lenses import order
-from camcal.formats.cameras.recognition import ROWS
-from camcal.formats.cameras.record import CameraFormat
+from camcal.formats.cameras.record import ROWS, CameraFormat
+from camcal.formats.cameras.values import order
 from camcal.formats.native_entry import CORE
 
 PAGE = Path(__file__).parents[1] / "docs" / "formats.md"

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from camcal.calibrate.robot.start import Poses
+from camcal.calibrate.robot.problem import Poses
 from camcal.formats.pose_text import form_named
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose

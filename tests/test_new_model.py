@@ -25,7 +25,7 @@ from camcal.formats import native
 from camcal.formats.camera_file import CameraEntry, CameraFile
 from camcal.simulate.scene import make_camera, observe, views
 from camcal.targets.board import Board
-from camcal.tasks.suggestions import lens_models
+from camcal.tasks.options import lens_models
 
 SIZE = (1280, 960)
 TRUTH = Camera(TOY, SIZE, [420.0, 421, 642, 476, 0.6, 1.15, -0.02, 0.0])

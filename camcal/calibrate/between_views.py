@@ -12,8 +12,7 @@ from camcal.arrays import Array
 from camcal.calibrate.effects import columns_at
 from camcal.calibrate.estimator import Estimate
 from camcal.calibrate.problem import POSE, Derivatives
-from camcal.calibrate.pupil import EntrancePupil, entrance_pupil
-from camcal.calibrate.single_views import ViewOffsets, followed
+from camcal.calibrate.single_views import EntrancePupil, ViewOffsets, entrance_pupil, followed
 from camcal.dataclass import dataclass, field, replace
 from camcal.records import Brief
 from camcal.targets.board import RATIOS, basis

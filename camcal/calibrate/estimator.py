@@ -11,8 +11,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.calibrate.alternation import CALM, AdditionalParameters, Alternation
-from camcal.calibrate.camera_part import CameraPart, KnownNoise, Place
+from camcal.calibrate.camera_part import CALM, AdditionalParameters, Alternation, CameraPart, KnownNoise, Place
 from camcal.calibrate.effects import EFFECTS, EffectScales, Posterior, fit_effects, posterior, scaled
 from camcal.calibrate.noise import (
     CornerNoise,

@@ -5,11 +5,10 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.calibrate.alternation import AdditionalParameters
+from camcal.calibrate.camera_part import AdditionalParameters
 from camcal.calibrate.effects import EFFECTS, SMOOTH
 from camcal.calibrate.estimator import Estimate, estimate
 from camcal.calibrate.evidence import Evidence, WithinViews, evidence_of_effects, within_views
-from camcal.calibrate.influence import influence
 from camcal.calibrate.initialise import (
     apply_symmetries,
     best_turns,
@@ -19,7 +18,7 @@ from camcal.calibrate.initialise import (
     sweep_focal,
     thinned,
 )
-from camcal.calibrate.jackknife import averaged, covariance_of, image_metric, weights_of
+from camcal.calibrate.jackknife import averaged, covariance_of, image_metric, influence, weights_of
 from camcal.calibrate.noise import CUT, REJECTED, robust_sigma
 from camcal.calibrate.problem import POSE, BoardProblem, State
 from camcal.calibrate.shape import hold_to_print, odd_terms

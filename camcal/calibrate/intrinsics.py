@@ -10,8 +10,7 @@ from camcal.calibrate.between_views import BetweenViews, between_views
 from camcal.calibrate.estimator import Estimate
 from camcal.calibrate.evidence import WithinViews
 from camcal.calibrate.fit import CalibrationFit, ShapeOptions, averaged_fit, fit, fit_briefly, fit_like, fit_plain
-from camcal.calibrate.influence import influence
-from camcal.calibrate.jackknife import predict_views
+from camcal.calibrate.jackknife import influence, predict_views
 from camcal.calibrate.noise import REJECTED, row_medians
 from camcal.calibrate.problem import BoardProblem
 from camcal.calibrate.refusals import (

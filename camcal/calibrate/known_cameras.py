@@ -12,8 +12,7 @@ from contextlib import suppress
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.calibrate.alternation import AdditionalParameters
-from camcal.calibrate.camera_part import CameraPart
+from camcal.calibrate.camera_part import AdditionalParameters, CameraPart
 from camcal.calibrate.effects import EFFECTS
 from camcal.calibrate.initialise import poses_from_pixels, thinned
 from camcal.calibrate.noise import REJECTED, robust_sigma

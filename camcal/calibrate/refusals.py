@@ -13,8 +13,7 @@ from camcal.arrays import Array
 from camcal.calibrate.noise import FINEST, row_medians
 from camcal.calibrate.problem import BoardProblem, State
 from camcal.calibrate.several_cameras import SMOOTH, TwoCameras, smoothness
-from camcal.calibrate.shared_residuals import CellSums
-from camcal.calibrate.view_records import names_of, px_words
+from camcal.calibrate.view_records import CellSums, names_of, px_words
 from camcal.dataclass import dataclass, replace
 from camcal.errors import InsufficientData
 from camcal.messages import Message, Value

@@ -15,8 +15,7 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.calibrate.estimator import Estimate, estimate
-from camcal.calibrate.influence import influence
-from camcal.calibrate.jackknife import predict_views
+from camcal.calibrate.jackknife import influence, predict_views
 from camcal.calibrate.noise import robust_sigma
 from camcal.calibrate.problem import BoardProblem, State
 from camcal.cameras.catalogue import DEFAULT_MODEL, MODELS, WIDE_MODEL, model_named

@@ -14,10 +14,10 @@ from typing import ClassVar
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.cameras.axial_plane import AxialPlane
 from camcal.cameras.distortion import first_root
 from camcal.cameras.lens import Parameter
 from camcal.cameras.plane_model import FAR, Values, find_increasing
+from camcal.cameras.short_models import AxialPlane
 from camcal.dataclass import dataclass
 from camcal.records import Brief
 

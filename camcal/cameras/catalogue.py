@@ -16,8 +16,7 @@ _FILES = {
     "short_models": "fov division orthographic equisolid",
     "angle_models": "ftheta ftheta_inverse ptlens ptlens_equisolid ptlens_stereographic ocam",
     "telecentric": "telecentric",
-    "panoramic": "cylinder equirectangular stereographic",
-    "rectified_views": "cylinder_x latlon_x",
+    "panoramic": "cylinder equirectangular stereographic cylinder_x latlon_x",
     "spline": "splined_stereographic",
 }
 

@@ -12,9 +12,9 @@ from typing import ClassVar
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.cameras.axial_plane import AxialPlane, of_denominator
 from camcal.cameras.lens import Parameter
 from camcal.cameras.plane_model import CORE, Values
+from camcal.cameras.short_models import AxialPlane, of_denominator
 from camcal.dataclass import dataclass
 from camcal.records import Brief
 

@@ -12,10 +12,8 @@ from camcal.files import STANDARD
 from camcal.report.table import Column
 from camcal.tasks.calibration.check_options import CheckOptions
 from camcal.tasks.calibration.options import DiffOptions
-from camcal.tasks.convert_options import ConvertFileOptions
+from camcal.tasks.file_options import ConvertFileOptions, InspectOptions, PlotOptions, ReportOptions, RerunOptions
 from camcal.tasks.options import CAMERA_SUFFIXES
-from camcal.tasks.reports.options import ReportOptions, RerunOptions
-from camcal.tasks.show_options import InspectOptions, PlotOptions
 
 if TYPE_CHECKING:
     from camcal.tasks.calibration.check import CheckReport

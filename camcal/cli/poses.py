@@ -6,8 +6,8 @@ from camcal.cli import show
 from camcal.cli.call import Call, ImageCall
 from camcal.messages import counted
 from camcal.report.table import Column
-from camcal.tasks.calibration.handeye_options import HandEyeOptions
-from camcal.tasks.curves.options import TABLE, FitOptions
+from camcal.tasks.calibration.check_options import HandEyeOptions
+from camcal.tasks.fit_options import TABLE, FitOptions
 from camcal.tasks.poses.options import PnpOptions
 from camcal.tasks.poses.smooth_options import SmoothOptions, TrackingOptions
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from camcal.estimate.curves.curve import CurveFit, Estimate
     from camcal.estimate.curves.fit import End
     from camcal.report.handeye import HandEyeReport
-    from camcal.tasks.curves.fit_report import FitReport
+    from camcal.tasks.fit_report import FitReport
     from camcal.tasks.poses.pnp import PnpReport
     from camcal.tasks.poses.smooth import Smoothing
     from camcal.tasks.poses.track import TrackReport
@@ -153,9 +153,9 @@ def fit(options: FitOptions, call: Call) -> None:
 
     Problems are reported by name: unobservable parameters, active bounds, searches that did not converge.
     """
-    from camcal.tasks.curves.fit import fit as run
-    from camcal.tasks.curves.fit_report import document, require_settled
     from camcal.tasks.figure_files import figure_data
+    from camcal.tasks.fit import fit as run
+    from camcal.tasks.fit_report import document, require_settled
 
     report = run(options, call.progress)
     call.give(lambda: document(report) | figure_data(report.figures), lambda: _show(report, options, call.verbose))
@@ -181,7 +181,7 @@ def _show(report: "FitReport", options: FitOptions, verbose: bool) -> None:
         show.text(f"derivatives agree with the {report.check.method} step to {report.check.error:.1e}")
     _show_comparison(report)
     if options.trace == TABLE:
-        from camcal.tasks.curves.fit_report import TRACE_COLUMNS, trace_rows
+        from camcal.tasks.fit_report import TRACE_COLUMNS, trace_rows
 
         show.table("iterations", TRACE_COLUMNS, trace_rows(report.turns))
     show.wrote(*options.outputs(), show.several(report.figures, "figure"))

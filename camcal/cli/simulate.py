@@ -8,8 +8,8 @@ from camcal.cli import show
 from camcal.cli.call import Call
 from camcal.messages import counted
 from camcal.report.table import Column
+from camcal.tasks.calibration.drawing_options import SheetOptions
 from camcal.tasks.calibration.options import DemoOptions
-from camcal.tasks.calibration.sheet_options import SheetOptions
 from camcal.tasks.simulation.options import SimulateOptions
 
 if TYPE_CHECKING:

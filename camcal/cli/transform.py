@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 from camcal.cli import show
 from camcal.cli.call import Call
 from camcal.report.table import Column
-from camcal.tasks.frames.options import (
+from camcal.tasks.transform_options import (
     AverageOptions,
     ChainOptions,
     CheckOptions,
@@ -18,8 +18,8 @@ from camcal.tasks.frames.options import (
 )
 
 if TYPE_CHECKING:
-    from camcal.tasks.frames.transform import Averaged, Checked, TransformResult
-    from camcal.tasks.frames.transform_convert import Converted, MovedPoints
+    from camcal.tasks.transform import Averaged, Checked, TransformResult
+    from camcal.tasks.transform_convert import Converted, MovedPoints
 
 ESTIMATE_COLUMNS = (Column("pose", file=True), Column("weight"), Column("off by", "mm"), Column("off by", "deg"))
 CHECK_COLUMNS = (
@@ -38,7 +38,7 @@ def chain(options: ChainOptions, call: Call) -> None:
     Frames are connected by their names. For loops of transforms the closure error is reported; a loop that does not
     close is refused.
     """
-    from camcal.tasks.frames.transform import chain as run
+    from camcal.tasks.transform import chain as run
 
     _give(run(options, call.progress), options.output, call)
 
@@ -48,7 +48,7 @@ def evaluate(options: ExpressionOptions, call: Call) -> None:
 
     A transform that occurs twice is one random variable: if it cancels, so does its uncertainty.
     """
-    from camcal.tasks.frames.transform import evaluate as run
+    from camcal.tasks.transform import evaluate as run
 
     _give(run(options, call.progress), options.output, call)
 
@@ -58,20 +58,20 @@ def compose(options: PosesOptions, call: Call) -> None:
 
     Adjacent frame names must match; poses without names match any frame.
     """
-    from camcal.tasks.frames.transform import compose as run
+    from camcal.tasks.transform import compose as run
 
     _give(run(options, call.progress), options.output, call)
 
 
 def invert(options: PosesOptions, call: Call) -> None:
     """Invert poses, all of a file if it holds several: b_T_a from a_T_b, the covariance with it."""
-    from camcal.tasks.frames.transform import invert as run
+    from camcal.tasks.transform import invert as run
 
     _give(run(options, call.progress), options.output, call)
 
 
 def _give(made: "TransformResult", output: Output, call: Call) -> None:
-    from camcal.tasks.frames.transform import document
+    from camcal.tasks.transform import document
 
     call.give(lambda: document(made, output), lambda: _show_made(made, output, verbose=call.verbose))
 
@@ -99,8 +99,8 @@ def convert(options: ConvertOptions, call: Call) -> None:
 
     Unity is left-handed: change the axes of both frames, otherwise the result is no rotation.
     """
-    from camcal.tasks.frames.transform_convert import convert as run
-    from camcal.tasks.frames.transform_convert import document
+    from camcal.tasks.transform_convert import convert as run
+    from camcal.tasks.transform_convert import document
 
     if options.output.trajectory:
         _convert_trajectory(options, call)
@@ -120,7 +120,7 @@ def _show_converted(converted: "Converted", output: Output, *, verbose: bool) ->
 
 
 def _convert_trajectory(options: ConvertOptions, call: Call) -> None:
-    from camcal.tasks.frames.transform_convert import convert_trajectory, trajectory_document
+    from camcal.tasks.transform_convert import convert_trajectory, trajectory_document
 
     converted = convert_trajectory(options, call.progress)
     count, frames = len(converted.trajectory), converted.trajectory.frames
@@ -139,8 +139,8 @@ def average(options: AverageOptions, call: Call) -> None:
 
     The mean of rotations is the Karcher mean, which minimises the sum of squared angles.
     """
-    from camcal.tasks.frames.transform import average as run
-    from camcal.tasks.frames.transform import average_document
+    from camcal.tasks.transform import average as run
+    from camcal.tasks.transform import average_document
 
     averaged = run(options, call.progress)
     where = options.output
@@ -164,8 +164,8 @@ def check(options: CheckOptions, call: Call) -> None:
 
     A determinant of -1 is a reflection (a flipped axis or a left-handed frame) and is never corrected.
     """
-    from camcal.tasks.frames.transform import check as run
-    from camcal.tasks.frames.transform import check_document, require_good
+    from camcal.tasks.transform import check as run
+    from camcal.tasks.transform import check_document, require_good
 
     checked = run(options, call.progress)
     where = options.output
@@ -191,7 +191,7 @@ def points(options: PointsOptions, call: Call) -> None:
     In a CSV the uncertainty of the transform is added to that of every point. It is common to all points and does not
     average out.
     """
-    from camcal.tasks.frames.transform_convert import points_document, transform_points
+    from camcal.tasks.transform_convert import points_document, transform_points
 
     moved = transform_points(options, call.progress)
     call.give(lambda: points_document(moved), lambda: _show_points(moved, verbose=call.verbose))

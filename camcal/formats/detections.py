@@ -29,7 +29,7 @@ from camcal.arrays import Array
 from camcal.cameras.validity import ImageCircle
 from camcal.dataclass import dataclass, replace
 from camcal.errors import InvalidInput, Located
-from camcal.formats import corner_lists, emit, vnl
+from camcal.formats import corner_lists, emit
 from camcal.formats.detections_text import CIRCLE, COLUMNS, MAGIC, NONE, OPTIONAL, VERSION, csv_text
 from camcal.formats.tables import (
     COVARIANCE,
@@ -75,7 +75,7 @@ class _Rows:
         return cls(*whole)
 
 
-def read(path: str | Path, board: Board | None = None, image_size: vnl.ImageSize | None = None) -> Detections:
+def read(path: str | Path, board: Board | None = None, image_size: corner_lists.ImageSize | None = None) -> Detections:
     """Return the detections in a file, views in the order in which it first names them.
 
     board: what was searched for; it takes the place of the board a CSV names, and a .vnl names none. image_size: of the
@@ -83,8 +83,8 @@ def read(path: str | Path, board: Board | None = None, image_size: vnl.ImageSize
     Raises InvalidInput with file and line for the first row that breaks a rule, FileError if the file cannot be read.
     """
     path = Path(path)
-    if path.suffix.lower() == vnl.SUFFIX:
-        return vnl.read(path, board, image_size)
+    if path.suffix.lower() == corner_lists.VNL:
+        return corner_lists.read_vnl(path, board, image_size)
     if path.suffix.lower() in corner_lists.SUFFIXES:
         return corner_lists.read(path, board, image_size)
     return read_csv(path, board)
@@ -93,7 +93,7 @@ def read(path: str | Path, board: Board | None = None, image_size: vnl.ImageSize
 def write(path: str | Path, detections: Detections) -> None:
     """Write detections in the form the file's suffix says; raises InvalidInput for what the form cannot hold."""
     path = Path(path)
-    form = vnl.text if path.suffix.lower() == vnl.SUFFIX else csv_text
+    form = corner_lists.vnl_text if path.suffix.lower() == corner_lists.VNL else csv_text
     files.write_text(path, form(detections))
 
 

@@ -17,8 +17,8 @@ from camcal.errors import InvalidInput, Located
 from camcal.formats.documents import Fault, child, parse_json
 from camcal.formats.emit import rounded
 from camcal.formats.schema import integer, items, mapping, matrix, number, one_of, text, unchecked
+from camcal.stereo.depth_error import CalibrationError
 from camcal.stereo.disparity import BESIDE, StereoGeometry
-from camcal.stereo.points.calibration_error import CalibrationError
 from camcal.stereo.rectify.record import AXES, PINHOLE, PROJECTIONS
 
 SCHEMA = "camcal/disparity/1"

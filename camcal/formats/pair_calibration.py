@@ -219,4 +219,4 @@ def as_ros(file: CameraFile, rectification: Rectification, right_T_left: Pose) -
         block = {"rectification": rotation.ravel().tolist(), "projection": projection.ravel().tolist()}
         entries[name] = replace(file.cameras[name], extra={ros.VENDOR_KEY: block})
     pair = CameraFile(entries, {f"{names[1]}_T_{names[0]}": Transform(right_T_left)})
-    return prepared(pair, ros.FORMAT, "--ros").file
+    return prepared(pair, ros.ROS, "--ros").file

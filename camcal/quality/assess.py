@@ -13,15 +13,14 @@ import numpy as np
 
 from camcal.arrays import Array
 from camcal.calibrate.intrinsics import Calibration, CandidateModel
-from camcal.calibrate.shared_residuals import CELLS, cell_numbers
-from camcal.calibrate.view_records import names_of
+from camcal.calibrate.view_records import CELLS, cell_numbers, names_of
 from camcal.cameras.directions import lens_difference
 from camcal.cameras.spline import SplinedStereographic
 from camcal.cameras.validity import ImageCircle, folds_inside
 from camcal.dataclass import dataclass, replace
 from camcal.messages import Message, counted
 from camcal.quality.criteria import CRITERIA, KNOWN_PX, between_views, largest_tilt_deg, message
-from camcal.quality.lens_choice import better_model, other_models
+from camcal.quality.lens_choice import Pattern, better_model, find_patterns, other_models
 from camcal.quality.projection_uncertainty import (
     KnownRegion,
     ProjectionUncertainty,
@@ -29,7 +28,6 @@ from camcal.quality.projection_uncertainty import (
     projection_uncertainty,
     with_bias,
 )
-from camcal.quality.residual_pattern import Pattern, find_patterns
 from camcal.records import Brief
 from camcal.targets.board_types import BOARD_TYPES
 

@@ -25,8 +25,8 @@ from camcal.arrays import Array, readonly, require_shape
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.images.files import load, save
 from camcal.images.image import read_npy, write_npy
+from camcal.raw import MONO
 from camcal.raw.mosaic import cell_side, is_x_trans, phases
-from camcal.raw.names import MONO
 
 MASK_SUFFIXES = frozenset({".png", ".tif", ".tiff", ".pgm"})
 TEXT_SUFFIXES = frozenset({"", ".txt", ".badpixels"})  # dcraw searches for a file that is named .badpixels

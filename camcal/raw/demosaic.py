@@ -17,10 +17,10 @@ import numpy as np
 from camcal.arrays import Array, PixelArray
 from camcal.dataclass import dataclass
 from camcal.errors import InvalidInput
+from camcal.raw import AUTO, GRAY, GREEN, HALF, LIBRAW, MONO, NONE, RI
 from camcal.raw.dng import dng_bytes
 from camcal.raw.filters import bilinear, edge_aware, green, half, malvar, vng
 from camcal.raw.mosaic import Mosaic, cell_side, full_scale, is_x_trans
-from camcal.raw.names import AUTO, GRAY, GREEN, HALF, LIBRAW, MONO, NONE, RI
 from camcal.raw.residual import residual_interpolation
 from camcal.raw.tiles import Each, one_by_one, rounded
 

@@ -17,10 +17,9 @@ from camcal.dataclass import dataclass, replace
 from camcal.errors import FileError, InsufficientData, InvalidInput
 from camcal.files import read_bytes
 from camcal.parsing import parse_numbers
-from camcal.raw import calibration_frames
+from camcal.raw import AUTO, GRAY, MONO, NONE, calibration_frames
 from camcal.raw.demosaic import demosaic
 from camcal.raw.mosaic import Mosaic, by_place, cell_side, full_scale, phases, sites
-from camcal.raw.names import AUTO, GRAY, MONO, NONE
 from camcal.raw.options import (
     CAMERA,
     DEPTHS,

@@ -14,8 +14,8 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.errors import InvalidInput
 from camcal.files import write_bytes
+from camcal.raw import MONO
 from camcal.raw.mosaic import Capture, Mosaic, cell_side
-from camcal.raw.names import MONO
 
 _BYTE, _ASCII, _SHORT, _LONG, _RATIONAL, _SRATIONAL = 1, 2, 3, 4, 5, 10
 _CODES = {_BYTE: "B", _ASCII: "c", _SHORT: "H", _LONG: "I", _RATIONAL: "I", _SRATIONAL: "i"}

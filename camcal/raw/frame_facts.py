@@ -18,8 +18,8 @@ from camcal.arrays import Array, readonly
 from camcal.dataclass import dataclass
 from camcal.errors import InvalidInput
 from camcal.messages import Message
+from camcal.raw import PATTERNS
 from camcal.raw.mosaic import Mosaic, channel_names, phases
-from camcal.raw.names import PATTERNS
 
 BINS = 64
 _ROWS = 64

@@ -9,8 +9,8 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.dataclass import dataclass
 from camcal.errors import FileError, InvalidInput
+from camcal.raw import MONO, PATTERNS
 from camcal.raw.mosaic import require_pattern
-from camcal.raw.names import MONO, PATTERNS
 from camcal.raw.pixel_formats import FAMILIES, FORMATS, PixelFormat, frame_bytes, require_byte_order, row_bytes, unpack
 
 # Of the sensors and the modes that cameras for measuring have, (width, height); the most common ones first.
@@ -29,9 +29,10 @@ _ROW_UNITS = (16, 32, 64)  # bytes that drivers pad rows to
 _OFFERS = 6  # candidates in one message
 # Correlation of neighbouring samples of one colour, below which they are unlike, above which alike; of so many rows.
 _UNLIKE, _ALIKE, _ROWS = 0.3, 0.6, 200
-# Correlation that wrong orders do not reach, and how many times less of what they leave open another order leaves: of
-# clean pictures that use all bits, wrong ones are rougher by 2.3 at least, right ones smoother by as much.
-_SURELY, _ROUGHER = 0.97, 1.5
+_SURELY = 0.97  # correlation that wrong orders do not reach
+# How many times less of what they leave open another order leaves: of clean pictures that use all bits, wrong ones are
+# rougher by 2.3 at least, right ones smoother by as much.
+_ROUGHER = 1.5
 _SPARE, _DARK, _AS_ALIKE = 2, 3, 0.05  # zero bits that tell their order; of dark frames; loss of likeness
 _GROUPS = 15  # bytes, that packed groups of 3 or 5 fill
 _LEAST, _GROUP, _BYTE = 32, 4, 8  # pixels of the smallest frame that shows it; of a packed group; bits

@@ -15,8 +15,8 @@ from scipy.special import ndtr
 from camcal.arrays import Array, readonly
 from camcal.dataclass import dataclass
 from camcal.errors import InsufficientData, InvalidInput
+from camcal.raw import MONO, PATTERNS
 from camcal.raw.mosaic import Mosaic, by_place, channel_names
-from camcal.raw.names import MONO, PATTERNS
 
 ROUNDING = 1 / 12  # counts²: variance of an error that is uniform over one count
 LIMIT = 0.24  # counts²: below this EMVA 1288 takes the noise for that of rounding

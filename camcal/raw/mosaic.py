@@ -12,7 +12,7 @@ import numpy as np
 from camcal.arrays import Array, FloatArray, PixelArray, readonly
 from camcal.dataclass import dataclass
 from camcal.errors import InvalidInput
-from camcal.raw.names import MONO, PATTERNS
+from camcal.raw import MONO, PATTERNS
 from camcal.records import Brief
 
 _X_TRANS_LETTERS = 36

@@ -9,7 +9,7 @@ from camcal.dataclass import dataclass
 from camcal.errors import InvalidInput
 from camcal.options import LENS, RAW_FRAMES, SIZE, Option, OptionsRecord, Without
 from camcal.parsing import parse_integer, parse_numbers
-from camcal.raw.names import ALIGNS, AUTO, ENDIANS, GRAY, GREEN, MONO, PATTERNS
+from camcal.raw import ALIGNS, AUTO, ENDIANS, GRAY, GREEN, MONO, PATTERNS
 
 if TYPE_CHECKING:
     from camcal.raw.headerless import Layout
@@ -159,7 +159,7 @@ AS_IMAGES = ImageReadOptions()
 
 def _is_optical(name: str) -> bool:
     """Return whether this is the optical format of a sensor, such as 1/2.8."""
-    from camcal.optics.lens import sensor_format
+    from camcal.optics import sensor_format
 
     try:
         sensor_format(name)

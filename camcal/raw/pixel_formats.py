@@ -14,7 +14,7 @@ from camcal.arrays import Array
 from camcal.dataclass import dataclass
 from camcal.errors import InvalidInput
 from camcal.parsing import nearest
-from camcal.raw.names import ALIGNS, ENDIANS, MONO
+from camcal.raw import ALIGNS, ENDIANS, MONO
 from camcal.raw.packing import BLOCK_PIXELS, Packing, gige_vision, lsb_first, mipi, msb_first, unpack_rows
 
 

@@ -29,6 +29,7 @@ from camcal.images.files import gray_8bit, gray_levels, load, png_has_colour
 from camcal.images.image import RAW_SUFFIXES, Image
 from camcal.images.options import require_pixels
 from camcal.images.videos import address_of
+from camcal.raw import COLOURS, GRAY, GREEN, MONO, PATTERNS
 from camcal.raw.demosaic import demosaic
 from camcal.raw.develop import balance_in_place, linearise
 from camcal.raw.frame_facts import check_phase
@@ -44,7 +45,6 @@ from camcal.raw.mosaic import (
     require_pattern,
     sites,
 )
-from camcal.raw.names import COLOURS, GRAY, GREEN, MONO, PATTERNS
 from camcal.raw.options import (
     AS_IMAGES,
     BARE_SUFFIXES,

@@ -13,7 +13,7 @@ from camcal.dataclass import dataclass, replace
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.geometry.pose import rotation_of
 from camcal.parsing import parse_numbers
-from camcal.stereo.points.frames import COLOUR, INTENSITY, POSITION, SIGMA, VertexStream
+from camcal.stereo.depth import COLOUR, INTENSITY, POSITION, SIGMA, VertexStream
 
 _NEAREST = 1e-12  # of a depth that tangents are taken at
 _FARTHEST = 1e15  # of a coordinate; squares of what lies beyond are no float32, and it is no measurement

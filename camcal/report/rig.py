@@ -14,8 +14,8 @@ from camcal.geometry import rotation as so3
 from camcal.geometry.frame_graph import Loop
 from camcal.geometry.pose import NamedTransform, Pose
 from camcal.quality.rig_geometry import PairGeometry, baseline, rotation_angle
+from camcal.report.calibration import time_lines
 from camcal.report.table import Column, number_text, value_and_std, values_and_stds
-from camcal.report.times import time_lines
 
 _PLACES = 6  # of metres, degrees and quaternions of no known uncertainty
 _QUATERNION = ("qw", "qx", "qy", "qz")

@@ -20,9 +20,9 @@ from camcal.dataclass import dataclass
 from camcal.report.colour_scale import turbo_table
 from camcal.report.figures.figure import free_drawn
 from camcal.report.stereo_words import headline, line_of, verdict
+from camcal.stereo.alignment import Residual
 from camcal.stereo.disparity import StereoGeometry
-from camcal.stereo.pair.alignment import Residual
-from camcal.stereo.pair.pair_check import PairCheck
+from camcal.stereo.pair_check import PairCheck
 from camcal.stereo.rectify.record import LATLON, PINHOLE
 
 ERROR_EDGES = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)  # pixels: up to 2 blue, above yellow to red

@@ -5,8 +5,8 @@ from math import isnan
 from typing import Any
 
 from camcal.report.table import Column, value_and_std
-from camcal.stereo.pair.alignment import LARGEST_CORRECTION, NEGLIGIBLE, WORTH_RECTIFYING, Measured
-from camcal.stereo.pair.pair_check import Exposure, PairCheck
+from camcal.stereo.alignment import LARGEST_CORRECTION, NEGLIGIBLE, WORTH_RECTIFYING, Measured
+from camcal.stereo.pair_check import Exposure, PairCheck
 from camcal.stereo.rectify.record import AXES
 from camcal.stereo.truth import FIGURES, ClassErrors, Evaluation
 

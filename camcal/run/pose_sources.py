@@ -19,8 +19,7 @@ from typing import TypeVar
 
 from camcal import files
 from camcal.errors import InsufficientData, InvalidInput, Located
-from camcal.formats import frames, pose_text, trajectories
-from camcal.formats.addresses import split_address
+from camcal.formats import frames, pose_text, split_address, trajectories
 from camcal.formats.frames import LooseTransform
 from camcal.formats.pose_text import Form, LoosePose, elementary, guessed, is_elementary, is_row, numbers_in
 from camcal.geometry.frame_graph import FrameGraph

@@ -14,8 +14,8 @@ from camcal.cameras.model import Camera
 from camcal.dataclass import dataclass, field, replace
 from camcal.errors import InvalidInput
 from camcal.geometry.pose import Pose
+from camcal.raw import MONO
 from camcal.raw.mosaic import require_pattern, sites
-from camcal.raw.names import MONO
 from camcal.simulate.options import Sensor
 from camcal.simulate.render import Exposure, Shape, evenly_lit, light
 from camcal.targets.board import Board

@@ -13,8 +13,8 @@ import numpy as np
 from camcal.arrays import Array, readonly
 from camcal.dataclass import dataclass, replace
 from camcal.errors import InsufficientData, InvalidInput
+from camcal.stereo.depth import StereoImage
 from camcal.stereo.disparity import Confidence, StereoGeometry
-from camcal.stereo.points.frames import StereoImage
 
 _STEPS = 100
 _LARGEST = 1 << 20  # pixels; of more than that every n-th is enough and sorted in no time

@@ -19,9 +19,9 @@ from camcal.dataclass import dataclass, replace
 from camcal.targets.board import Board
 from camcal.targets.board_types import TAG_BORDER
 from camcal.targets.checker.checker import CONTRAST, NodeMeasurements, measure_saddles
-from camcal.targets.corners.cells import Beside, Cells
-from camcal.targets.corners.measure import blur_of, clear, tag_reach
-from camcal.targets.corners.refine import refine
+from camcal.targets.corner_cells import Beside, Cells
+from camcal.targets.corner_measurement import blur_of, clear, tag_reach
+from camcal.targets.corner_refinement import refine
 from camcal.targets.detection import MIN_CORNERS, BoardDetection, MaskedImage
 from camcal.targets.tag_lattice import (
     TagGroup,

@@ -6,7 +6,7 @@ from camcal import opencv
 from camcal.arrays import Array
 from camcal.errors import InvalidInput
 from camcal.targets.board import APRILGRID, ASYMMETRIC_CIRCLES, CHARUCO, CHESSBOARD, CIRCLES, Board
-from camcal.targets.corners.measure import measure
+from camcal.targets.corner_measurement import measure
 from camcal.targets.detection import BoardDetection, MaskedImage
 
 SEED = 0  # of OpenCV's random numbers, set again for every image

@@ -10,16 +10,14 @@ from camcal.cameras.catalogue import model_named
 from camcal.cameras.refit import Refit
 from camcal.dataclass import dataclass, replace
 from camcal.errors import InvalidInput
-from camcal.formats import cameras, provenance
-from camcal.formats.addresses import split_address
+from camcal.formats import cameras, provenance, split_address
 from camcal.formats.camera_file import CameraFile, Framing, framed
 from camcal.formats.cameras.nearest import Nearest, prepared
-from camcal.formats.cameras.recognition import named
-from camcal.formats.cameras.record import EVERY_LENS, CameraFormat, Given
+from camcal.formats.cameras.record import EVERY_LENS, CameraFormat, Given, named
 from camcal.options import command_line
 from camcal.progress import SILENT, Progress
 from camcal.run.outputs import claim, writes
-from camcal.tasks.convert_options import ConvertFileOptions
+from camcal.tasks.file_options import ConvertFileOptions
 from camcal.tasks.given_camera import framing_of, require_no_image
 
 

@@ -11,8 +11,7 @@ from camcal.cameras.directions import GRID, grid_pixels
 from camcal.cameras.lens import FISHEYE
 from camcal.cameras.model import Camera, require_central
 from camcal.errors import InvalidInput
-from camcal.formats import cameras
-from camcal.formats.addresses import split_address
+from camcal.formats import cameras, split_address
 from camcal.formats.camera_file import CalibrationVerdict, CameraEntry, CameraFile, Framing, framed
 from camcal.formats.cameras.record import CAMERA, Given, MissingSize
 from camcal.images.videos import address_of, is_video

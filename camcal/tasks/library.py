@@ -25,14 +25,14 @@ from camcal.images.remap import build_maps
 from camcal.images.views import make_view
 from camcal.progress import SILENT, Progress
 from camcal.records import Brief
+from camcal.stereo.cloud import CloudMaker
+from camcal.stereo.depth import COLOUR, POSITION, StereoImage
 from camcal.stereo.disparity import Confidence, Disparity, StereoGeometry
 from camcal.stereo.options import RectifiedViewOptions
-from camcal.stereo.points.cloud import CloudMaker
-from camcal.stereo.points.frames import COLOUR, POSITION, StereoImage
 from camcal.stereo.rectify.plan import PairMaps, build_pair_maps, plan_rectification
 from camcal.stereo.rectify.record import Rectification
 from camcal.targets.board import Board
-from camcal.targets.corners.measure import measure
+from camcal.targets.corner_measurement import measure
 from camcal.targets.detect import locate
 from camcal.targets.detection import BoardDetection, Detections, MaskedImage
 from camcal.tasks.calibration.board_views import BoardViews

@@ -36,13 +36,12 @@ from camcal.report.figures.rig import camera_file_plots, detection_plots, pose_p
 from camcal.report.figures.trajectories import path_of, trajectory_plots
 from camcal.run.outputs import writes
 from camcal.run.paths import find_files
-from camcal.tasks.curves.fit_report import written
 from camcal.tasks.figure_files import write_figures
+from camcal.tasks.file_options import PlotOptions
+from camcal.tasks.fit_report import FIT, SENSOR, fit_file_plots, require, sensor_file_plots, written
 from camcal.tasks.given_camera import read_part, require_whole
 from camcal.tasks.options import CAMERA_SUFFIXES, FIGURES, FigureOptions, ImagePart
-from camcal.tasks.plot_documents import FIT, SENSOR, fit_file_plots, require, sensor_file_plots
 from camcal.tasks.rigs.inspect_rig import inspect_rig
-from camcal.tasks.show_options import PlotOptions
 
 KINDS = (
     "camera and rig files, detections (.csv, .vnl), poses, trajectories (.tum, .txt, .csv, .yaml, .json), tracks, "

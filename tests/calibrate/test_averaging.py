@@ -8,13 +8,7 @@ import pytest
 
 from camcal import calibrate
 from camcal.calibrate.effects import posterior, scaled
-from camcal.calibrate.influence import influence
-from camcal.calibrate.jackknife import (
-    averaged,
-    covariance_of,
-    image_metric,
-    weights_of,
-)
+from camcal.calibrate.jackknife import averaged, covariance_of, image_metric, influence, weights_of
 from camcal.calibrate.problem import BoardProblem, State
 from camcal.geometry import rotation as so3
 from camcal.solve.least_squares import assemble
@@ -109,7 +103,7 @@ def test_the_jackknife_moves_the_lens_as_solving_again_without_a_view(model):
 
 @pytest.mark.parametrize("model", [{"points": 0.05}, {"points": 0.2, "effects": 2}, {"points": 5.0, "seed": 4}])
 def test_the_jackknife_determines_the_points_of_the_board_anew_without_a_view(model, monkeypatch):
-    monkeypatch.setattr(calibrate.influence, "_SAFETY", 1e9)
+    monkeypatch.setattr(calibrate.jackknife, "_SAFETY", 1e9)
     linear = Linear(**model)
     estimate = linear.estimate()
     moved = np.array([linear.solution(views=without([view])) for view in range(VIEWS)]) - linear.solution()

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from observed import make_scene
 
-from camcal.calibrate import alternation, estimator
-from camcal.calibrate.alternation import AdditionalParameters
+from camcal.calibrate import camera_part, estimator
+from camcal.calibrate.camera_part import AdditionalParameters
 from camcal.calibrate.estimator import estimate
 from camcal.calibrate.problem import BoardProblem, State
 from camcal.cameras.observations import Observations
@@ -62,8 +62,8 @@ def test_points_solved_for_in_turn_and_together_lead_to_the_same_lens(printed, m
     problem, state = started(*printed)
     free = AdditionalParameters(smooth=True, points=True)
     together = estimate(problem, state, free)
-    monkeypatch.setattr(alternation, "AT_ALL_TOGETHER", 0)
-    monkeypatch.setattr(alternation, "_SETTLED", 1e-4)
+    monkeypatch.setattr(camera_part, "AT_ALL_TOGETHER", 0)
+    monkeypatch.setattr(camera_part, "_SETTLED", 1e-4)
     in_turn = estimate(problem, state, free)
     assert together.problem.offsets
     assert not in_turn.problem.offsets

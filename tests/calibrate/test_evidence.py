@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from observed import make_scene
 
-from camcal.calibrate import evidence, influence
+from camcal.calibrate import evidence, jackknife
 from camcal.calibrate import fit as fitting
-from camcal.calibrate.alternation import AdditionalParameters
+from camcal.calibrate.camera_part import AdditionalParameters
 from camcal.calibrate.effects import SMOOTH
 from camcal.calibrate.estimator import estimate
 from camcal.calibrate.evidence import evidence_of_effects
@@ -111,7 +111,7 @@ def test_views_and_priors_are_what_the_last_linear_solve_knows():
         blocks = own.problem.observed(own.linearised)
         unit = np.sqrt(np.outer(np.diag(matrix), np.diag(matrix)))
         reduced = own.factors.reduced
-        parts = np.stack([influence._information(blocks, reduced[view], view) for view in range(len(views))]) / unit
+        parts = np.stack([jackknife._information(blocks, reduced[view], view) for view in range(len(views))]) / unit
         assert np.linalg.eigvalsh(parts).min() > -1e-9
         shared = len(own.posterior.shared)
         priors = np.zeros_like(matrix[:shared])

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from camcal.calibrate import evidence
-from camcal.calibrate.alternation import AdditionalParameters
+from camcal.calibrate.camera_part import AdditionalParameters
 from camcal.calibrate.effects import EFFECTS, FLEX, FLEX_TERMS, ROLLING, SMOOTH, EffectScales
 from camcal.calibrate.evidence import Evidence, evidence_of_effects, within_views
 from camcal.calibrate.fit import ShapeOptions, fit, fit_briefly, fit_plain

@@ -15,9 +15,8 @@ from scipy.stats import multivariate_t
 
 from camcal.calibrate import jackknife
 from camcal.calibrate.fit import ShapeOptions, fit_briefly, fit_like
-from camcal.calibrate.influence import influence
 from camcal.calibrate.intrinsics import CandidateModel, Options, calibrate, compare_models
-from camcal.calibrate.jackknife import predict_views
+from camcal.calibrate.jackknife import influence, predict_views
 from camcal.cameras.catalogue import DEFAULT_MODEL, model_named
 from camcal.cameras.directions import in_hull, lens_difference
 from camcal.cameras.observations import Observations

@@ -8,8 +8,7 @@ import pytest
 from observed import make_scene, true_state
 
 from camcal.calibrate import estimator
-from camcal.calibrate.alternation import AdditionalParameters
-from camcal.calibrate.camera_part import KnownNoise, Place
+from camcal.calibrate.camera_part import AdditionalParameters, KnownNoise, Place
 from camcal.calibrate.effects import EFFECTS, EffectScales, Posterior
 from camcal.calibrate.noise import CornerNoise, ViewNoise
 from camcal.calibrate.problem import BoardProblem

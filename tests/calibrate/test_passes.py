@@ -8,7 +8,7 @@ import pytest
 from observed import make_scene, true_state
 
 from camcal.calibrate import estimator
-from camcal.calibrate.alternation import AdditionalParameters
+from camcal.calibrate.camera_part import AdditionalParameters
 from camcal.calibrate.effects import Posterior
 from camcal.calibrate.noise import corner_weights, view_noise
 from camcal.calibrate.problem import BoardProblem

@@ -7,7 +7,7 @@ import pytest
 
 from camcal.calibrate.known_cameras import KnownBoard, KnownCamera, estimate_known, prior_of, wide_prior_of
 from camcal.calibrate.robot.estimator import estimate_robot
-from camcal.calibrate.robot.problem import RobotPoses, RobotProblem, RobotState
+from camcal.calibrate.robot.problem import Poses, RobotPoses, RobotProblem, RobotState, closed_form
 from camcal.calibrate.robot.reading import (
     Reading,
     duplicates,
@@ -17,7 +17,6 @@ from camcal.calibrate.robot.reading import (
     shift_of,
     undetermined_axis,
 )
-from camcal.calibrate.robot.start import Poses, closed_form
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.cameras.observations import Observations

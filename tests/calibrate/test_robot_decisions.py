@@ -9,8 +9,9 @@ from robot_scenes import board_at, hand_of, noisy, stacked
 
 from camcal.calibrate.robot import estimator
 from camcal.calibrate.robot.estimator import estimate_robot
-from camcal.calibrate.robot.problem import RobotPoses, SeenPoses
+from camcal.calibrate.robot.problem import Poses, RobotPoses, SeenPoses, _rotation, _weights, closed_form, pairs_of
 from camcal.calibrate.robot.reading import (
+    Motion,
     duplicates,
     fits_better,
     moved_from,
@@ -19,8 +20,6 @@ from camcal.calibrate.robot.reading import (
     shift_of,
     undetermined_axis,
 )
-from camcal.calibrate.robot.start import Poses, _rotation, _weights, closed_form, pairs_of
-from camcal.calibrate.robot.timing import Motion
 from camcal.errors import InsufficientData
 from camcal.formats.pose_text import form_named
 from camcal.formats.robot_poses import RobotRows

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from camcal.calibrate.refusals import _are_alike
-from camcal.calibrate.shared_residuals import CellSums
+from camcal.calibrate.view_records import CellSums
 
 ONE = np.full((16, 12), 1 / 16)  # as many corners in each cell in all
 

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from test_sphere_models import CORE, SIZE, rays, round_trip_error
 
 from camcal.cameras.catalogue import MODELS
-from camcal.cameras.identities import same_lens
 from camcal.cameras.model import Camera
+from camcal.cameras.refit import same_lens
 from camcal.formats import cameras
 from camcal.formats.cameras.record import Given
 

@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from camcal.cameras.catalogue import MODELS, model_named
-from camcal.cameras.identities import same_lens
 from camcal.cameras.model import Camera
+from camcal.cameras.refit import same_lens
 
 CORE = [500.0, 505.0, 319.5, 241.25]
 SIZE = (640, 480)

@@ -23,8 +23,8 @@ from camcal.progress import SILENT, Silent
 from camcal.run import cluster
 from camcal.run.options import BatchOptions
 from camcal.run.outputs import listed
+from camcal.tasks.calibration.drawing_options import UndistortOptions
 from camcal.tasks.calibration.undistort import undistort
-from camcal.tasks.calibration.undistort_options import UndistortOptions
 from camcal.tasks.options import GivenCamera
 
 sys.path.insert(0, str(Path(__file__).parents[1]))

@@ -10,8 +10,8 @@ import pytest
 
 from camcal.images.files import save
 from camcal.progress import Silent
+from camcal.tasks.calibration.drawing_options import UndistortOptions
 from camcal.tasks.calibration.undistort import undistort
-from camcal.tasks.calibration.undistort_options import UndistortOptions
 from camcal.tasks.options import GivenCamera
 
 BOARD = "chessboard:7x5:25mm"

@@ -17,9 +17,9 @@ from camcal.formats.camera_file import CameraEntry, CameraFile, Transform
 from camcal.geometry.pose import Pose
 from camcal.report.page.thumbnails import PHOTO, photograph
 from camcal.tasks.calibration.options import CalibrateOptions
+from camcal.tasks.file_options import ReportOptions
 from camcal.tasks.reports import carried as carried_data
 from camcal.tasks.reports.carried import options_of, settings_of
-from camcal.tasks.reports.options import ReportOptions
 from camcal.tasks.reports.report import report
 
 QUICK = ("--model", "opencv4", "--flat-board", "--no-free-corners")

@@ -9,7 +9,7 @@ from timed_scenes import BOARD, Clocked, by_hand, rotations
 
 from camcal.calibrate.timing.record import CameraTime, CameraTimes
 from camcal.formats import detections, native
-from camcal.report.times import time_lines
+from camcal.report.calibration import time_lines
 from camcal.targets.detection import Detections
 from camcal.tasks.rigs.calibrate_rig import document, rig
 from camcal.tasks.rigs.options import RigSettings, RigTaskOptions

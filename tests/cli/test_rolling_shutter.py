@@ -7,7 +7,7 @@ import pytest
 from timed_scenes import BOARD, Clocked, by_hand
 
 from camcal.formats import detections, native
-from camcal.report.times import time_lines
+from camcal.report.calibration import time_lines
 from camcal.targets.detection import Detections
 from camcal.tasks.calibration.calibrate import calibrate, document
 from camcal.tasks.calibration.options import CalibrateOptions

@@ -54,7 +54,7 @@ def stereo(run):
 
 
 def factory(run):
-    for name in ("A1", "A2", "A10"):
+    for name in ("A2", "A10"):
         photos(run, "--seed", str(len(name)), "--overwrite")
         Path("cameras").mkdir(exist_ok=True)
         shutil.move("scene/images", Path("cameras") / name)

@@ -10,8 +10,8 @@ import pytest
 
 from camcal.formats import disparity, disparity_sidecar, pointclouds
 from camcal.formats.disparity_sidecar import Sidecar
+from camcal.stereo.depth import VertexStream, vertex_type
 from camcal.stereo.disparity import StereoGeometry
-from camcal.stereo.points.frames import VertexStream, vertex_type
 
 GEOMETRY = StereoGeometry(100.0, 100.0, 29.5, 19.5, 0.1)
 SHAPE = (40, 60)

@@ -8,8 +8,8 @@ import pytest
 from camcal.errors import FileError, InvalidInput
 from camcal.formats import disparity_sidecar
 from camcal.formats.disparity_sidecar import Sidecar, SourceFile
+from camcal.stereo.depth_error import CalibrationError
 from camcal.stereo.disparity import StereoGeometry
-from camcal.stereo.points.calibration_error import CalibrationError
 
 GEOMETRY = StereoGeometry(718.856, 718.9, 607.19, 185.2, 0.537, 1.5)
 

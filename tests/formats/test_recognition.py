@@ -12,13 +12,13 @@ import pytest
 from camcal.errors import CamcalError, InvalidInput
 from camcal.formats import cameras
 from camcal.formats.cameras import FORMATS
-from camcal.formats.cameras.recognition import ROWS, named, recognise
+from camcal.formats.cameras.record import ROWS, named, recognise
 
 DATA = Path(os.environ.get("CAMCAL_TEST_DATA", Path(__file__).parents[3] / "shared/data"))
 EXAMPLES = DATA.parent / "reference" / "format_examples"
 # A line or two of each family, as its program writes them.
 WRITTEN = {
-    "camcal_native": "format: camcal-calibration\nversion: 1\n",
+    "camcal": "format: camcal-calibration\nversion: 1\n",
     "USD": '#usda 1.0\ndef Camera "Camera" ()\n',
     "Blender": "BLENDER-v300\n",
     "Pix4D": "Pix4D camera calibration file 0\nF 15.0\n",

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from camcal.geometry.pose import rotation_of
-from camcal.stereo.points.frames import LEFT_CAMERA
+from camcal.stereo.depth import LEFT_CAMERA
 
 AHEAD, RIGHT, DOWN = (0, 0, 1), (1, 0, 0), (0, 1, 0)
 

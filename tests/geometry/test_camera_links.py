@@ -1,6 +1,6 @@
 """The most certain path between two cameras."""
 
-from camcal.geometry.camera_links import CameraLink, certain_path
+from camcal.geometry.frame_graph import CameraLink, certain_path
 
 
 def link(first: str, last: str, std: float) -> CameraLink:

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from camcal.errors import InvalidInput
-from camcal.optics.lens import FORMATS, literal_mm, pixel_pitch, sensor_format, smallest_format
+from camcal.optics import FORMATS, literal_mm, pixel_pitch, sensor_format, smallest_format
 
 
 @pytest.mark.parametrize("text", ["1/2.8", '1/2.8"', "1/2.8 inch", "1/2.8in", "1/2.80", "1/2.8-type"])

@@ -10,7 +10,7 @@ from camcal.cameras.catalogue import SPLINE_MODEL, model_named
 from camcal.cameras.directions import in_hull
 from camcal.cameras.model import Camera
 from camcal.errors import InsufficientData
-from camcal.quality.residual_pattern import radial_pattern, shared_pattern
+from camcal.quality.lens_choice import radial_pattern, shared_pattern
 from camcal.simulate.scene import observe, views
 from camcal.targets.board import Board, Surface
 from camcal.tasks.calibration.model_selection import select, solve_given

@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 
 from camcal.errors import FileError, InsufficientData, InvalidInput
 from camcal.images.files import save
+from camcal.raw import MONO, PATTERNS
 from camcal.raw.calibration_frames import make_map, read_map, repair, write_map
 from camcal.raw.mosaic import phases
-from camcal.raw.names import MONO, PATTERNS
 
 HEIGHT, WIDTH = 90, 121
 SIZE = (WIDTH, HEIGHT)

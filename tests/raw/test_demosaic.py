@@ -12,9 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from camcal.errors import InvalidInput
+from camcal.raw import MONO, PATTERNS
 from camcal.raw.demosaic import ALGORITHMS, demosaic, require_algorithm
 from camcal.raw.mosaic import sites
-from camcal.raw.names import MONO, PATTERNS
 
 SIZES = [(2, 2), (2, 3), (3, 2), (3, 3), (6, 8), (7, 8), (6, 9), (21, 35)]
 COLOUR = ("auto", "ri", "malvar", "bilinear", "ea", "vng")

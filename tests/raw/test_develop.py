@@ -6,9 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from camcal.errors import InsufficientData, InvalidInput
+from camcal.raw import MONO, PATTERNS
 from camcal.raw.develop import Corrections, develop, encode, find_gains, linearise, negative, quantise
 from camcal.raw.mosaic import Mosaic, sites
-from camcal.raw.names import MONO, PATTERNS
 from camcal.raw.options import Balance, Development
 
 

@@ -9,9 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from camcal.errors import FileError, InvalidInput
+from camcal.raw import PATTERNS
 from camcal.raw.dng import dng_bytes, write_dng
 from camcal.raw.mosaic import Capture, Mosaic
-from camcal.raw.names import PATTERNS
 from camcal.raw.reading import read_camera_raw
 
 X_TRANS = "GGRGGBGGBGGRBRGRBGGGBGGRGGRGGBRBGBRG"

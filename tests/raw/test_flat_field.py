@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from camcal.errors import InvalidInput
+from camcal.raw import MONO
 from camcal.raw.calibration_frames import flat_gain
 from camcal.raw.mosaic import phases
-from camcal.raw.names import MONO
 
 HEIGHT, WIDTH = 121, 160
 ROWS, COLUMNS = np.mgrid[:HEIGHT, :WIDTH]

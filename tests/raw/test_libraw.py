@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from camcal.errors import InvalidInput
+from camcal.raw import PATTERNS
 from camcal.raw.demosaic import demosaic, demosaic_with_libraw, libraw_filters, require_libraw_filter
 from camcal.raw.mosaic import sites
-from camcal.raw.names import PATTERNS
 
 X_TRANS = "GGRGGBGGBGGRBRGRBGGGBGGRGGRGGBRBGBRG"
 COLOUR = (20000, 40000, 10000)  # blue, green, red

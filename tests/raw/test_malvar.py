@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from bayer import PEAK, by_threads, random_mosaic, sampled, scene
 
+from camcal.raw import PATTERNS
 from camcal.raw.filters import malvar
-from camcal.raw.names import PATTERNS
 
 GREEN = np.array([[0, 0, -1, 0, 0], [0, 0, 2, 0, 0], [-1, 2, 4, 2, -1], [0, 0, 2, 0, 0], [0, 0, -1, 0, 0]]) / 8
 IN_ROW = np.array([[0, 0, 0.5, 0, 0], [0, -1, 0, -1, 0], [-1, 4, 5, 4, -1], [0, -1, 0, -1, 0], [0, 0, 0.5, 0, 0]]) / 8

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from camcal.errors import FileError, InvalidInput
+from camcal.raw import PATTERNS
 from camcal.raw.mosaic import Mosaic, by_place, channel_names, sites
-from camcal.raw.names import PATTERNS
 from camcal.raw.reading import read_mosaic
 
 SAMPLES = np.arange(12, dtype=np.uint16).reshape(3, 4) * 5000

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from camcal.errors import InvalidInput
+from camcal.raw import MONO, PATTERNS
 from camcal.raw.frame_facts import check_phase, green_diagonal
 from camcal.raw.mosaic import Mosaic
-from camcal.raw.names import MONO, PATTERNS
 
 DARK = np.zeros((2, 2))
 HEIGHT, WIDTH = 240, 360

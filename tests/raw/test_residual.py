@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 from bayer import PEAK, by_threads, random_mosaic, sampled, scene
 
-from camcal.raw import ri_green
+from camcal.raw import PATTERNS, ri_green
 from camcal.raw.demosaic import demosaic
-from camcal.raw.names import PATTERNS
 from camcal.raw.residual import RED_BLUE_REACH, noise_of_green, residual_interpolation
 from camcal.raw.tiles import detail_balance, one_by_one
 

@@ -6,9 +6,8 @@ from bayer import random_mosaic
 from hypothesis import given
 from hypothesis import strategies as st
 
-from camcal.raw import residual
+from camcal.raw import PATTERNS, residual
 from camcal.raw.mosaic import sites
-from camcal.raw.names import PATTERNS
 from camcal.raw.tiles import WHITE, Plane, Root, Scale, TiledMosaic, detail_balance
 
 UNBALANCED = {"R": 2.5, "G": 1.0, "B": 0.4}

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from bayer import PEAK, by_threads, random_mosaic, sampled, scene
 
+from camcal.raw import PATTERNS
 from camcal.raw.filters import vng
-from camcal.raw.names import PATTERNS
 
 # Gradients: pairs of full weight, pairs of half weight.
 STRAIGHT = {

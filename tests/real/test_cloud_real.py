@@ -7,10 +7,10 @@ import pytest
 
 from camcal.formats import disparity, pair_calibration
 from camcal.images.files import load
+from camcal.stereo.cloud import CloudMaker
+from camcal.stereo.depth import Frame, StereoImage
 from camcal.stereo.disparity import StereoGeometry
-from camcal.stereo.points.cloud import CloudMaker
-from camcal.stereo.points.frames import Frame, StereoImage
-from camcal.stereo.points.selection import Selection, select
+from camcal.stereo.selection import Selection, select
 
 # As the textbook prints them; KITTI's own calibration has a baseline of 0.537 m.
 STREET = StereoGeometry(718.856, 718.856, 607.1928, 185.2157, 0.573)

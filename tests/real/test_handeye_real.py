@@ -10,15 +10,14 @@ from robot_scenes import stacked
 
 from camcal.calibrate.known_cameras import KnownBoard, KnownCamera, estimate_known, prior_of
 from camcal.calibrate.robot.estimator import estimate_robot
-from camcal.calibrate.robot.problem import RobotPoses
-from camcal.calibrate.robot.start import Poses, closed_form
+from camcal.calibrate.robot.problem import Poses, RobotPoses, closed_form
 from camcal.cameras.observations import Observations
 from camcal.formats import cameras, detections
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
 from camcal.tasks.calibration.calibrate import calibrate
+from camcal.tasks.calibration.check_options import HandEyeOptions
 from camcal.tasks.calibration.handeye import handeye
-from camcal.tasks.calibration.handeye_options import HandEyeOptions
 from camcal.tasks.calibration.options import CalibrateOptions
 
 PUBLISHED = np.array([0.05772, -0.03392, -0.04228])  # of eMc, by ViSP, with residuals of 5.4 mm and 0.46°

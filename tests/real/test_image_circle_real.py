@@ -15,9 +15,9 @@ from camcal.images.options import ViewOptions
 from camcal.targets.board import parse_board
 from camcal.tasks.calibration.calibrate import calibrate
 from camcal.tasks.calibration.detect import detect_images
+from camcal.tasks.calibration.drawing_options import UndistortOptions
 from camcal.tasks.calibration.options import CalibrateOptions, DetectOptions
 from camcal.tasks.calibration.undistort import undistort
-from camcal.tasks.calibration.undistort_options import UndistortOptions
 
 # principal points px: the first as published with the set, the others calibrated with cv2.fisheye from its images
 FISHEYES = {

@@ -6,9 +6,9 @@ import pytest
 from stereo_truth import MAPS, STREET, pair_of, truth_of
 from textured import darker, noisy
 
-from camcal.stereo.pair.alignment import align_rows, quick_residual, row_correction, vertical_residual
-from camcal.stereo.pair.coarse import coarse_map, range_in
-from camcal.stereo.pair.pair_check import check_pair
+from camcal.stereo.alignment import align_rows, quick_residual, row_correction, vertical_residual
+from camcal.stereo.coarse import coarse_map, range_in
+from camcal.stereo.pair_check import check_pair
 
 SPOILT = {
     "as it is": lambda left, right: (left, right),

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from camcal.errors import InvalidInput
+from camcal.raw import PATTERNS
 from camcal.raw.frame_facts import check_phase
 from camcal.raw.mosaic import Mosaic, sites
-from camcal.raw.names import PATTERNS
 from camcal.raw.reading import read_mosaic
 
 

@@ -10,8 +10,8 @@ from camcal.formats import native
 from camcal.formats.camera_file import CameraEntry, CameraFile
 from camcal.images.files import load
 from camcal.images.options import ViewOptions
+from camcal.tasks.calibration.drawing_options import UndistortOptions
 from camcal.tasks.calibration.undistort import undistort
-from camcal.tasks.calibration.undistort_options import UndistortOptions
 
 # the camera of the image, as the textbook states it (EuRoC cam0)
 PARAMETERS = np.array([458.654, 457.296, 367.215, 248.375, -0.28340811, 0.07395907, 0.00019359, 1.76187114e-05])

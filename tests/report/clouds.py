@@ -3,7 +3,7 @@
 import numpy as np
 
 from camcal.report.cloud_scene import CloudScene, gather
-from camcal.stereo.points.frames import LEFT_CAMERA, VertexStream, vertex_type
+from camcal.stereo.depth import LEFT_CAMERA, VertexStream, vertex_type
 
 RED, BLUE = (220, 20, 20), (20, 20, 220)
 ROS = "left camera: x forward, y left, z up"

@@ -6,7 +6,7 @@ from clouds import BLUE, RED, ROS, in_ros, scene_of, square, stream_of, two_squa
 
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.report.cloud_scene import around, axes_of, evenly, gather, named_views, turn, view_of
-from camcal.stereo.points.frames import VertexStream, vertex_type
+from camcal.stereo.depth import VertexStream, vertex_type
 
 
 def test_a_thinned_cloud_has_points_of_every_stretch_of_the_file(rng):

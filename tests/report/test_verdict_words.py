@@ -8,7 +8,7 @@ from camcal.formats.camera_file import CalibrationVerdict, CameraEntry, CameraFi
 from camcal.messages import Message
 from camcal.quality.criteria import CRITERIA
 from camcal.report.page.record import BAD, FAILURE, GOOD, WARNING, WEAK, Table, checks_table, shown_messages, verdict
-from camcal.tasks.reports.options import ReportOptions
+from camcal.tasks.file_options import ReportOptions
 from camcal.tasks.reports.report import report
 
 FAILED, WEAKER = Message("a", "it failed"), Message("b", "it is weak")

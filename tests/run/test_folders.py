@@ -17,8 +17,8 @@ from camcal.progress import SILENT
 from camcal.run import fingerprint
 from camcal.run.fanout import fan_out
 from camcal.run.outputs import watch_files
+from camcal.tasks.calibration.drawing_options import UndistortOptions
 from camcal.tasks.calibration.undistort import undistort
-from camcal.tasks.calibration.undistort_options import UndistortOptions
 
 LENS = Camera(model_named("opencv5"), (24, 16), np.array([20.0, 20, 12, 8, -0.1, 0, 0, 0, 0]))
 

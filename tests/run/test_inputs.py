@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from camcal.errors import FileError, InvalidInput
-from camcal.formats.addresses import split_address
+from camcal.formats import split_address
 from camcal.run import fingerprint
 from camcal.run.paths import find_images, find_media
 

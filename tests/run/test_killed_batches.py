@@ -47,7 +47,7 @@ for line in sys.stdin:
 """
 
 MODULES = (
-    *("cli.poses", "cli.raw", "cli.calibrate", "cli.stereo", "tasks.calibration.calibrate"),
+    *("cli.poses", "cli.calibrate", "cli.images", "cli.stereo", "tasks.calibration.calibrate"),
     *("tasks.calibration.detect", "tasks.stereo.clouds", "tasks.stereo.stereo_disparity", "tasks.stereo.stereo_run"),
     *("tasks.stereo.rectify", "tasks.calibration.undistort"),
 )

@@ -11,8 +11,8 @@ from camcal.errors import InvalidInput
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
 from camcal.targets.board import Board
-from camcal.targets.corners.cells import Cells, sample_cells
-from camcal.targets.corners.measure import board_edges, seen_cells
+from camcal.targets.corner_cells import Cells, sample_cells
+from camcal.targets.corner_measurement import board_edges, seen_cells
 
 BOARD = Board("chessboard", 7, 6, 0.03)
 CAMERA = Camera(model_named("opencv5"), (640, 480), np.array([500.0, 505, 322, 238, -0.25, 0.06, 1e-3, -5e-4, 0]))

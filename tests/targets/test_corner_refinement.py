@@ -11,7 +11,7 @@ from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
 from camcal.simulate.render import Exposure, render
 from camcal.targets.board import Board
-from camcal.targets.corners.measure import Expected, remeasure, seen_cells, signs
+from camcal.targets.corner_measurement import Expected, remeasure, seen_cells, signs
 from camcal.targets.detect import detect, locate
 from camcal.targets.detection import BoardDetection, MaskedImage
 

@@ -5,7 +5,7 @@ import pytest
 from scipy.special import erf
 from scipy.stats import multivariate_normal, norm
 
-from camcal.targets.corners.refine import alone, crossing, crowded, edge
+from camcal.targets.corner_refinement import alone, crossing, crowded, edge
 
 PLACES = np.linspace(-3, 3, 9)
 FIRST, SECOND = (part.astype(np.float32) for part in np.meshgrid(PLACES, PLACES))

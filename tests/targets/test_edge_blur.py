@@ -10,7 +10,7 @@ from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
 from camcal.simulate.render import Exposure, render
 from camcal.targets.board import Board, parse_board
-from camcal.targets.corners.measure import edge_blur
+from camcal.targets.corner_measurement import edge_blur
 
 SIZE = (480, 360)
 CAMERA = Camera(model_named("pinhole"), SIZE, np.array([500.0, 500, 239.5, 179.5]))

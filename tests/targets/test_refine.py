@@ -12,9 +12,9 @@ from camcal.geometry.pose import Pose
 from camcal.simulate.render import Exposure, render
 from camcal.targets.board import Board
 from camcal.targets.checker import proposals as grids
-from camcal.targets.corners.cells import LONGEST_PX, Cells
-from camcal.targets.corners.measure import _cells, clear, measure
-from camcal.targets.corners.refine import RefinedCorners, refine
+from camcal.targets.corner_cells import LONGEST_PX, Cells
+from camcal.targets.corner_measurement import _cells, clear, measure
+from camcal.targets.corner_refinement import RefinedCorners, refine
 from camcal.targets.detection import BoardDetection, MaskedImage
 
 BOARD = Board("chessboard", 8, 6, 0.03)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from camcal.targets.corners.refine import apply_tone
+from camcal.targets.corner_refinement import apply_tone
 
 PICTURE = np.linspace(-1, 1, 41)[None]
 

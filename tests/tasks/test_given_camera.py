@@ -14,8 +14,8 @@ from camcal.images.options import ViewOptions
 from camcal.options import command_line, declared
 from camcal.simulate.scene import observe
 from camcal.targets.board import parse_board
+from camcal.tasks.calibration.drawing_options import UndistortOptions
 from camcal.tasks.calibration.undistort import undistort, undistort_points
-from camcal.tasks.calibration.undistort_options import UndistortOptions
 from camcal.tasks.given_camera import camera_of
 from camcal.tasks.options import GivenCamera, ImagePart
 from camcal.tasks.poses.options import PnpOptions

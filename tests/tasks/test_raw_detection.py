@@ -15,10 +15,10 @@ from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
 from camcal.images.files import save
 from camcal.options import given_words
+from camcal.raw import MONO, PATTERNS
 from camcal.raw.demosaic import demosaic
 from camcal.raw.dng import write_dng
 from camcal.raw.mosaic import Mosaic, sites
-from camcal.raw.names import MONO, PATTERNS
 from camcal.raw.options import GivenLayout, ImageReadOptions
 from camcal.raw.pixel_formats import pack, pixel_format_named
 from camcal.raw.reading import agreeing_gains, detection_image_of, read_detection_image

@@ -14,8 +14,8 @@ from camcal.formats.maps import mesh_nodes, write_mesh
 from camcal.images.files import load
 from camcal.images.options import ViewOptions
 from camcal.images.remap import build_maps
-from camcal.tasks.calibration.undistort_maps import maps_document, undistort_maps
-from camcal.tasks.calibration.undistort_options import UndistortOptions
+from camcal.tasks.calibration.drawing_options import UndistortOptions
+from camcal.tasks.calibration.undistort import maps_document, undistort_maps
 
 SIZE = (200, 150)
 LENS = Camera(model_named("opencv5"), SIZE, [150.0, 151, 98, 77, -0.25, 0.06, 1e-3, -5e-4, 0])

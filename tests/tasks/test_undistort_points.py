@@ -10,8 +10,8 @@ from camcal.errors import InvalidInput
 from camcal.formats import cameras, native
 from camcal.formats.camera_file import CameraEntry, CameraFile, ValidRegion
 from camcal.images.options import ViewOptions
+from camcal.tasks.calibration.drawing_options import UndistortOptions
 from camcal.tasks.calibration.undistort import move_pixels, undistort_points
-from camcal.tasks.calibration.undistort_options import UndistortOptions
 
 LENS = Camera(model_named("opencv5"), (640, 480), np.array([400.0, 402, 325, 236, -0.3, 0.08, 1e-3, -1e-3, 0]))
 FISHEYE = Camera(model_named("kannala_brandt4"), (640, 480), np.array([150.0, 150, 320, 240, 0, 0, 0, 0]))

@@ -18,8 +18,8 @@ from camcal.images.image import Image
 from camcal.images.options import ViewOptions
 from camcal.images.remap import build_maps
 from camcal.images.views import make_view
+from camcal.tasks.calibration.drawing_options import UndistortOptions
 from camcal.tasks.calibration.undistort import undistort
-from camcal.tasks.calibration.undistort_options import UndistortOptions
 
 SIZE = (120, 80)
 LENS = Camera(model_named("opencv5"), SIZE, np.array([90.0, 91, 61, 39, -0.25, 0.06, 1e-3, -1e-3, 0]))

@@ -17,8 +17,8 @@ from camcal.images.files import save
 from camcal.raw.dng import write_dng
 from camcal.raw.mosaic import Mosaic
 from camcal.simulate.scene import observe, views
+from camcal.stereo.depth import VertexStream, vertex_type
 from camcal.stereo.disparity import StereoGeometry
-from camcal.stereo.points.frames import VertexStream, vertex_type
 from camcal.targets.board import Board
 
 _SIZE = (96, 72)  # width, height

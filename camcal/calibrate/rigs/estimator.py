@@ -9,8 +9,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.calibrate.alternation import CALM, AdditionalParameters, Alternation
-from camcal.calibrate.camera_part import CameraPart, KnownNoise, Place
+from camcal.calibrate.camera_part import CALM, AdditionalParameters, Alternation, CameraPart, KnownNoise, Place
 from camcal.calibrate.effects import EffectScales, Posterior, fit_effects, motion_columns, scaled
 from camcal.calibrate.noise import count_of
 from camcal.calibrate.problem import POSE

@@ -8,8 +8,7 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.calibrate.effects import EFFECTS, SMOOTH, EffectColumns, columns_at, likelihood_gain, motion_columns
 from camcal.calibrate.fit import displacements
-from camcal.calibrate.influence import influence
-from camcal.calibrate.jackknife import covariance_of, image_metric, weights_of
+from camcal.calibrate.jackknife import covariance_of, image_metric, influence, weights_of
 from camcal.calibrate.problem import POSE, State
 from camcal.calibrate.rigs.effects import (
     MOTION_DOF,

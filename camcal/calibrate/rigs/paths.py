@@ -8,10 +8,9 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.calibrate.problem import POSE
 from camcal.calibrate.rigs.fit import RigFit
-from camcal.calibrate.robot.problem import by_factors, by_inverse
-from camcal.calibrate.robot.start import Poses
+from camcal.calibrate.robot.problem import Poses, by_factors, by_inverse
 from camcal.dataclass import dataclass
-from camcal.geometry.camera_links import CameraLink
+from camcal.geometry.frame_graph import CameraLink
 
 _HELD = 1e-12  # m² and rad², so that views without noise have an inverse
 

@@ -15,8 +15,8 @@ from camcal.arrays import Array
 from camcal.calibrate.rigs.links import CameraPoses, Placed
 from camcal.calibrate.rigs.measured import BoardPoses, KnownRelation, contradicted
 from camcal.calibrate.rigs.record import Captures
+from camcal.calibrate.robot.problem import Poses, centre, closed_form
 from camcal.calibrate.robot.reading import undetermined_axis
-from camcal.calibrate.robot.start import Poses, centre, closed_form
 from camcal.dataclass import dataclass
 from camcal.errors import InsufficientData
 from camcal.geometry import rotation as so3

@@ -13,7 +13,7 @@ from camcal.cameras.lens import CameraModel
 from camcal.cameras.model import Camera
 from camcal.dataclass import dataclass, field, replace
 from camcal.errors import InvalidInput
-from camcal.geometry.camera_links import CameraLink
+from camcal.geometry.frame_graph import CameraLink
 from camcal.geometry.pose import Pose
 from camcal.messages import Message
 from camcal.records import Brief

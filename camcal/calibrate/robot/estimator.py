@@ -14,8 +14,17 @@ import numpy as np
 from camcal.arrays import Array
 from camcal.calibrate.problem import POSE
 from camcal.calibrate.rigs.problem import RigProblem
-from camcal.calibrate.robot.problem import LEAST_STD, OWN, SYSTEMATIC, RobotPoses, RobotProblem, RobotState, SeenPoses
-from camcal.calibrate.robot.start import HandEye, Poses
+from camcal.calibrate.robot.problem import (
+    LEAST_STD,
+    OWN,
+    SYSTEMATIC,
+    HandEye,
+    Poses,
+    RobotPoses,
+    RobotProblem,
+    RobotState,
+    SeenPoses,
+)
 from camcal.dataclass import dataclass, field, replace
 from camcal.errors import InsufficientData
 from camcal.geometry.pose import Pose

@@ -1,8 +1,8 @@
-"""In which way a robot's poses are to be read, told by what the camera saw, and what else may be wrong with them.
+"""A robot's poses over time, and in which way they are to be read, told by what the camera saw.
 
 What a pair of poses turns by is the same for hand and eye, whatever hand and eye are: that tells the form of rotations.
 The closed form of hand and eye then tells direction and unit. A list shifted against the images, a board or a camera
-that has moved, and a hand that turned about one axis only are told from it as well.
+that has moved, and a hand that turned about one axis only are told from it as well. Images may have another clock.
 """
 
 from collections.abc import Iterator, Sequence
@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from camcal.arrays import Array
-from camcal.calibrate.robot.start import HandEye, Poses, angle_mismatch, closed_form, motions, pairs_of, turn_angles
+from camcal.calibrate.robot.problem import HandEye, Poses, angle_mismatch, closed_form, motions, pairs_of, turn_angles
 from camcal.dataclass import dataclass, replace
 from camcal.geometry import rotation as so3
 
@@ -29,6 +29,10 @@ _TINY = 1e-7
 _FARTHEST = 20.0  # m, of a board
 _MILLI = 1e-3
 _ROUNDED = 1.7e-4  # rad, of angles in a list
+
+_LATEST = 2.0  # s, by which two clocks are taken to differ at most
+_SHARE = 0.25  # of the time that the poses take
+_MOST = 2000  # delays that are tried
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,3 +165,37 @@ def duplicates(poses: Poses) -> int:
     turned = np.linalg.norm(so3.log(poses.rotations[:, None].swapaxes(-1, -2) @ poses.rotations[None]), axis=2)
     same = (apart < _SAME_PLACE) & (turned < _SAME_TURN)
     return int(np.triu(same, 1).any(axis=0).sum())
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """Poses base_T_hand (T,) at times (T,) s, in ascending order."""
+
+    times: Array
+    poses: Poses
+
+    def at(self, times: Array) -> Poses:
+        """Return the poses (N,) at other times, on the straightest way between two; the last one beyond the end."""
+        first = np.clip(np.searchsorted(self.times, times, side="right") - 1, 0, len(self.times) - 2)
+        before, after = self.poses.take(first), self.poses.take(first + 1)
+        share = np.clip((times - self.times[first]) / (self.times[first + 1] - self.times[first]), 0.0, 1.0)
+        moved = before.translations + share[:, None] * (after.translations - before.translations)
+        return Poses(so3.between(before.rotations, after.rotations, share), moved)
+
+    def velocities(self, times: Array) -> Array:
+        """Return the velocities (N, 6) of the hand: m/s in the base, rad/s in its own frame."""
+        half = float(np.median(np.diff(self.times))) / 2
+        before, after = self.at(times - half), self.at(times + half)
+        turns = so3.log(before.rotations.transpose(0, 2, 1) @ after.rotations)
+        return np.concatenate([after.translations - before.translations, turns], axis=1) / (2 * half)
+
+    def delay(self, times: Array, camera: Poses) -> float:
+        """Return by how many s the poses are late against images at `times` (N,), to half an interval of the poses.
+
+        camera: camera_T_board (N,) of the images.
+        """
+        step = float(np.median(np.diff(self.times)))
+        reach = min(_LATEST, _SHARE * float(self.times[-1] - self.times[0]))
+        count = int(min(reach / step, _MOST / 2))
+        delays = np.linspace(-reach, reach, 2 * count + 1) if count else np.zeros(1)
+        return float(min(delays, key=lambda delay: (angle_mismatch(self.at(times + delay), camera), abs(delay))))

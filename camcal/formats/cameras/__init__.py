@@ -1,6 +1,7 @@
 """Camera files of camcal and of other programs: detected by content, read to one record and written from it.
 
-A format is a module with its FORMAT and a row of `recognition`; it is loaded when a file is of it, or is to be.
+A format is a value of a module, by its name in capitals, and a row of `record`; its module is loaded when a file is of
+it, or is to be.
 """
 
 import re
@@ -13,10 +14,20 @@ from typing import TYPE_CHECKING
 from camcal import files
 from camcal.cameras.model import Camera
 from camcal.errors import CamcalError, FileError, InvalidInput
-from camcal.formats.addresses import split_address
+from camcal.formats import split_address
 from camcal.formats.camera_file import CameraEntry, CameraFile, pose_between
-from camcal.formats.cameras.recognition import ROWS, Row, named, recognise
-from camcal.formats.cameras.record import ANY_FRAME, CameraFormat, Given, Source, name_of, name_of_topic
+from camcal.formats.cameras.record import (
+    ANY_FRAME,
+    ROWS,
+    CameraFormat,
+    Given,
+    Row,
+    Source,
+    name_of,
+    name_of_topic,
+    named,
+    recognise,
+)
 from camcal.formats.native import implausible
 from camcal.geometry.pose import frames_of
 from camcal.images.videos import address_of
@@ -30,15 +41,30 @@ OWN = "camcal"
 
 _USUAL = (OWN, "kalibr", "ros", "opencv")  # whose files may have any name; the others' have one that tells them
 
+_SHARED = {  # modules of several formats, or of one with another name
+    "camcal_native": "camcal",
+    "anipose": "caliscope",
+    "kalibr": "openvins",
+    "matlab": "bouguet",
+    "urdf": "ros_tf",
+    "ocamcalib": "vins",
+    "datasets": "kitti middlebury euroc",
+    "devices": "depthai realsense photonvision",
+    "libraries": "boofcv open3d visp",
+    "photogrammetry": "metashape nerfstudio opensfm",
+}
+_MODULES = {name: module for module, names in _SHARED.items() for name in names.split()}
+
 
 class _Registry(Mapping[str, CameraFormat]):
     """The formats that are read, by name, each loaded when it is asked for."""
 
     def __init__(self) -> None:
-        self.modules = {row.name.removesuffix("_native"): row.name for row in ROWS if row.name}
+        self.modules = {row.name: _MODULES.get(row.name, row.name) for row in ROWS if row.name}
 
     def __getitem__(self, name: str) -> CameraFormat:
-        form: CameraFormat = import_module(f"camcal.formats.cameras.{self.modules[name]}").FORMAT
+        module = import_module(f"camcal.formats.cameras.{self.modules[name]}")
+        form: CameraFormat = getattr(module, name.upper())
         return form
 
     def __contains__(self, name: object) -> bool:
@@ -149,7 +175,7 @@ def _recognised(source: Source) -> CameraFormat | None:
         return None
     if row.instead:
         raise InvalidInput(f"{row.title}: not read; {row.instead}", where=str(source.path))
-    return FORMATS[row.name.removesuffix("_native")]
+    return FORMATS[row.name]
 
 
 def is_camera_file(path: Path) -> bool:

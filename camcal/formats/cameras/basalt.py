@@ -13,10 +13,9 @@ import numpy as np
 
 from camcal import files
 from camcal.formats.camera_file import CameraEntry, CameraFile, Transform, pose_between
-from camcal.formats.cameras.lenses import Lenses
 from camcal.formats.cameras.record import CameraFormat, Given, Source
 from camcal.formats.cameras.syntax import json_text, json_values
-from camcal.formats.cameras.values import Values
+from camcal.formats.cameras.values import Lenses, Values
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import JOINT, Pose
 
@@ -81,7 +80,7 @@ def write(path: Path, file: CameraFile) -> None:
     files.write_text(path, json_text({"value0": data}))
 
 
-FORMAT = CameraFormat(
+BASALT = CameraFormat(
     name="basalt",
     title="Basalt calibration",
     suffixes=(".json",),

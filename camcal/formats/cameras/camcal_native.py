@@ -22,12 +22,12 @@ def read(sources: Sequence[Source], given: Given) -> CameraFile:
 
 def write(path: Path, file: CameraFile) -> None:
     """Write a camera file with all digits of its numbers; raises as `native.write` does."""
-    if path.suffix.lower() not in FORMAT.suffixes and not files.is_stream(path):
+    if path.suffix.lower() not in CAMCAL.suffixes and not files.is_stream(path):
         raise InvalidInput("a camera file of camcal is .yaml", where=str(path))
     native.write(path, file, exact=True)
 
 
-FORMAT = CameraFormat(
+CAMCAL = CameraFormat(
     name="camcal",
     title="camcal's own",
     suffixes=(".yaml", ".yml"),

@@ -15,10 +15,8 @@ import numpy as np
 from camcal import files
 from camcal.errors import FileError, InvalidInput
 from camcal.formats.camera_file import CameraEntry, CameraFile, Transform, pose_between
-from camcal.formats.cameras.lenses import Lenses
-from camcal.formats.cameras.recognition import recognise
-from camcal.formats.cameras.record import CAMERA, CameraFormat, Given, Source, camera_of
-from camcal.formats.cameras.values import Values
+from camcal.formats.cameras.record import CAMERA, CameraFormat, Given, Source, camera_of, recognise
+from camcal.formats.cameras.values import Lenses, Values
 from camcal.formats.documents import Document
 from camcal.formats.emit import exact_text
 from camcal.geometry import rotation as so3
@@ -191,7 +189,7 @@ def write(path: Path, file: CameraFile) -> None:
         " ".join([str(number), lens.word, *map(str, size), *map(exact_text, numbers.values())])
         for number, (size, lens, numbers) in enumerate(written, 1)
     ]
-    files.write_text(path, _HEAD.format(FORMAT.note, len(lines)) + "\n".join(lines) + "\n")
+    files.write_text(path, _HEAD.format(COLMAP.note, len(lines)) + "\n".join(lines) + "\n")
     for rigs in outputs(path, file)[1:]:
         files.write_text(rigs, _RIG_HEAD + _rig_line(_placed(file) or []) + "\n")
 
@@ -212,7 +210,7 @@ def _rig_line(poses: Sequence[Pose]) -> str:
     return " ".join(["1", str(len(poses) + 1), "CAMERA 1", *sensors])
 
 
-FORMAT = CameraFormat(
+COLMAP = CameraFormat(
     name="colmap",
     title="COLMAP cameras.txt",
     suffixes=(".txt", ".bin"),

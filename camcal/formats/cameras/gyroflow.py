@@ -14,10 +14,9 @@ import numpy as np
 
 from camcal import files
 from camcal.formats.camera_file import CameraEntry, CameraFile
-from camcal.formats.cameras.lenses import Lenses
 from camcal.formats.cameras.record import CAMERA, CameraFormat, Given, Source
 from camcal.formats.cameras.syntax import json_text, json_values
-from camcal.formats.cameras.values import Values
+from camcal.formats.cameras.values import Lenses, Values
 
 VENDOR_KEY = "x_gyroflow"
 LENSES = Lenses("""
@@ -82,7 +81,7 @@ def write(path: Path, file: CameraFile) -> None:
     size, readout = {"w": width, "h": height}, entry.timing.get("readout_s")
     data = {
         "name": str(kept.get("camera_model") or name),
-        "note": FORMAT.note,
+        "note": GYROFLOW.note,
         "calibrated_by": "camcal",
         **dict.fromkeys(("camera_brand", "camera_model", "lens_model", "camera_setting"), ""),
         "calib_dimension": size,
@@ -106,7 +105,7 @@ def write(path: Path, file: CameraFile) -> None:
     files.write_text(path, json_text(data))
 
 
-FORMAT = CameraFormat(
+GYROFLOW = CameraFormat(
     name="gyroflow",
     title="Gyroflow lens profile",
     suffixes=(".json",),

@@ -83,7 +83,7 @@ def _places(camera: Camera) -> Array:
     return np.asarray(np.where(shown[:, None], shares, _NO_PLACE).T.reshape(2, side, side))
 
 
-FORMAT = CameraFormat(
+ISAAC = CameraFormat(
     name="isaac",
     title="Isaac Sim camera with tables",
     suffixes=(".usda",),

@@ -1,10 +1,11 @@
-"""Kalibr's camchain YAML: cameras cam0, cam1, …, each with the transform from the one before it.
+"""Kalibr's camchain YAML: cameras cam0, cam1, …, each with the transform from the one before it; OpenVINS' as well.
 
-T_cn_cnm1 takes points of camera n-1 to camera n, metres; T_cam_imu those of the IMU to the camera, T_imu_cam, as
-OpenVINS writes it, the reverse. rostopic, cam_overlaps,
-timeshift_cam_imu and line_delay are kept (x_kalibr) and written again. Every number has a dot: Kalibr refuses whole
-ones.
-Source: kalibr_common/python/kalibr_common/ConfigReader.py.
+T_cn_cnm1 takes points of camera n-1 to camera n, metres; T_cam_imu those of the IMU to the camera. rostopic,
+cam_overlaps, timeshift_cam_imu and line_delay are kept (x_kalibr) and written again. Every number has a dot: Kalibr
+refuses whole ones. OpenVINS' kalibr_imucam_chain.yaml is the same under the header of OpenCV, with T_imu_cam, the
+inverse.
+Sources: kalibr_common/python/kalibr_common/ConfigReader.py; open_vins' ov_core/src/utils/opencv_yaml_parse.h,
+config/*/kalibr_imucam_chain.yaml.
 """
 
 import re
@@ -18,16 +19,15 @@ from camcal import files
 from camcal.errors import InvalidInput
 from camcal.formats import emit
 from camcal.formats.camera_file import CameraEntry, CameraFile, Transform, pose_between
-from camcal.formats.cameras.lenses import Lenses
 from camcal.formats.cameras.record import CameraFormat, Given, Source
-from camcal.formats.cameras.values import Values
+from camcal.formats.cameras.values import Lenses, Values
 from camcal.formats.documents import parse_foreign
-from camcal.geometry.pose import JOINT
+from camcal.geometry.pose import JOINT, Pose
 from camcal.messages import Message
 
 VENDOR_KEY = "x_kalibr"
 IMU = "imu"
-LENSES = Lenses(
+KALIBR_LENSES = Lenses(
     """
     pinhole-none pinhole fx fy cx cy
     pinhole-radtan opencv4 fx fy cx cy k1 k2 p1 p2
@@ -48,8 +48,14 @@ _CAMERA = re.compile(r"cam\d+\Z")
 _ADVICE = "calibrate with --models pinhole-radtan or pinhole-equi"
 _AGREE = 1e-3  # m and of R, to which T_cam_imu of several cameras agree with T_cn_cnm1
 
+OPENVINS_LENSES = Lenses("""
+    pinhole-none pinhole fx fy cx cy
+    pinhole-radtan opencv4 fx fy cx cy k1 k2 p1 p2
+    pinhole-equidistant kannala_brandt4 fx fy cx cy k1 k2 k3 k4
+""")
 
-def read(sources: Sequence[Source], given: Given) -> CameraFile:
+
+def read_kalibr(sources: Sequence[Source], given: Given) -> CameraFile:
     """Return the cameras of a camchain with the transforms between them, cam1_T_cam0, and cam0_T_imu.
 
     Raises InvalidInput for a lens model that camcal does not have and for whatever is missing or wrong, FileError.
@@ -105,16 +111,16 @@ def _of_imu(values: Values, name: str, file: CameraFile) -> dict[str, Transform]
 def _entry(values: Values, given: Given) -> CameraEntry:
     told = values.text("distortion_model")
     word = f"{values.text('camera_model')}-{_OTHER_WORDS.get(told, told)}"
-    rows = LENSES.of(values, "camera_model", word)
+    rows = KALIBR_LENSES.of(values, "camera_model", word)
     coefficients = values.numbers("distortion_coeffs") if values.data.get("distortion_coeffs") else np.zeros(0)
     size = given.size(values.sides("resolution") if "resolution" in values else None, values.document.where)
     numbers = np.concatenate([values.numbers("intrinsics"), coefficients])
-    camera = LENSES.listed(values, "intrinsics", rows, size, numbers)
+    camera = KALIBR_LENSES.listed(values, "intrinsics", rows, size, numbers)
     kept = {key: values.data[key] for key in _KEPT if key in values}
     return CameraEntry(camera, extra={VENDOR_KEY: kept} if kept else {})
 
 
-def write(path: Path, file: CameraFile) -> None:
+def write_kalibr(path: Path, file: CameraFile) -> None:
     """Write the cameras, in their order as cam0, cam1, …, with the transforms between them and from the IMU.
 
     Raises InvalidInput if a camera's place beside the one before is not known, FileError.
@@ -138,7 +144,7 @@ def chain_of(path: Path, file: CameraFile) -> dict[str, Any]:
             block["T_cn_cnm1"] = pose.matrix().tolist()
         if (of_imu := pose_between(file, name, IMU)) is not None:
             block["T_cam_imu"] = of_imu.matrix().tolist()
-        lens, numbers = LENSES.written(entry.camera)
+        lens, numbers = KALIBR_LENSES.written(entry.camera)
         camera_model, distortion_model = lens.word.split("-")
         block |= {
             "cam_overlaps": own.get("cam_overlaps", [other for other in range(len(names)) if other != index]),
@@ -154,14 +160,39 @@ def chain_of(path: Path, file: CameraFile) -> dict[str, Any]:
     return data
 
 
-FORMAT = CameraFormat(
+KALIBR = CameraFormat(
     name="kalibr",
     title="Kalibr camchain",
     suffixes=(".yaml", ".yml"),
-    models=LENSES.models,
-    read=read,
-    write=write,
-    lenses=LENSES,
+    models=KALIBR_LENSES.models,
+    read=read_kalibr,
+    write=write_kalibr,
+    lenses=KALIBR_LENSES,
     frames=frozenset({IMU}),
     poses="T_cn_cnm1: camera_T_camera before; T_cam_imu: camera_T_imu",
+)
+
+
+def write_openvins(path: Path, file: CameraFile) -> None:
+    """Write the cameras as `kalibr.write` does, with the place of each in the IMU; raises as that does."""
+    chain = chain_of(path, file)
+    for block in chain.values():
+        if "T_cam_imu" in block:
+            pose = Pose.from_matrix(np.array(block.pop("T_cam_imu")))
+            block["T_imu_cam"] = pose.inverse().matrix().tolist()
+    text = emit.document(chain, OPENVINS.note, number=emit.exact_text)
+    files.write_text(path, text.replace(emit.HEADER, "%YAML:1.0\n---\n", 1))
+
+
+OPENVINS = CameraFormat(
+    name="openvins",
+    title="OpenVINS camchain",
+    suffixes=(".yaml", ".yml"),
+    models=OPENVINS_LENSES.models,
+    read=read_kalibr,
+    write=write_openvins,
+    lenses=OPENVINS_LENSES,
+    frames=frozenset({IMU}),
+    poses="T_imu_cam: imu_T_camera",
+    note="name this file under relative_config_imucam; OpenVINS has no lens but pinhole-radtan and pinhole-equidistant",
 )

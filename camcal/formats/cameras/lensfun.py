@@ -23,10 +23,9 @@ from camcal.cameras.catalogue import MODELS
 from camcal.cameras.model import Camera
 from camcal.errors import InvalidInput
 from camcal.formats.camera_file import CameraEntry, CameraFile
-from camcal.formats.cameras.lenses import Lenses
 from camcal.formats.cameras.record import CameraFormat, Given, MissingSize, Source
 from camcal.formats.cameras.syntax import xml_root, xml_values
-from camcal.formats.cameras.values import Values
+from camcal.formats.cameras.values import Lenses, Values
 
 LENSES = Lenses("""
     rectilinear opencv4 f cx cy k1 k2
@@ -304,7 +303,7 @@ def write(path: Path, file: CameraFile) -> None:
     )
     lines = [
         '<lensdatabase version="1">',
-        f"  <!-- {FORMAT.note} -->",
+        f"  <!-- {LENSFUN.note} -->",
         "  <lens>",
         "    <maker>camcal</maker>",
         f"    <model>{name}</model>",
@@ -320,7 +319,7 @@ def write(path: Path, file: CameraFile) -> None:
     files.write_text(path, "\n".join(lines))
 
 
-FORMAT = CameraFormat(
+LENSFUN = CameraFormat(
     name="lensfun",
     title="lensfun lens database",
     suffixes=(".xml",),

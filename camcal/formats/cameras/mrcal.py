@@ -18,9 +18,8 @@ from camcal.cameras.model import Camera
 from camcal.cameras.spline import SplinedStereographic
 from camcal.errors import FileError, InvalidInput
 from camcal.formats.camera_file import CameraEntry, CameraFile, Transform, ValidRegion, pose_between
-from camcal.formats.cameras.lenses import Lenses, Size
 from camcal.formats.cameras.record import CAMERA, LEFT, RIGHT, CameraFormat, Given, Source
-from camcal.formats.cameras.values import Values
+from camcal.formats.cameras.values import Lenses, Size, Values
 from camcal.formats.documents import Document
 from camcal.formats.emit import exact_text
 from camcal.geometry import rotation as so3
@@ -131,7 +130,7 @@ def write(path: Path, file: CameraFile) -> None:
         lens, numbers = LENSES.written(entry.camera)
         width, height = entry.camera.image_size
         word = _word(entry.camera, lens.word, str(target))
-        lines = [f"# {FORMAT.note}", "{", f"    'lensmodel':  '{word}',"]
+        lines = [f"# {MRCAL.note}", "{", f"    'lensmodel':  '{word}',"]
         lines += [
             f"    'intrinsics': [ {_numbers(list(numbers.values()))} ],",
             f"    'extrinsics': [ {_numbers(place)} ],",
@@ -147,7 +146,7 @@ def _numbers(numbers: Sequence[Any]) -> str:
     return ", ".join(map(exact_text, numbers))
 
 
-FORMAT = CameraFormat(
+MRCAL = CameraFormat(
     name="mrcal",
     title="mrcal camera model",
     suffixes=(".cameramodel",),

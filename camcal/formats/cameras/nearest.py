@@ -9,9 +9,9 @@ import numpy as np
 
 from camcal.arrays import FloatArray
 from camcal.cameras.catalogue import MODELS, model_named
-from camcal.cameras.identities import same_lens
 from camcal.cameras.lens import CameraModel
 from camcal.cameras.model import Camera
+from camcal.cameras.refit import same_lens
 from camcal.cameras.validity import ImageCircle
 from camcal.dataclass import dataclass, replace
 from camcal.errors import InsufficientData, InvalidInput

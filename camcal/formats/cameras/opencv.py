@@ -15,7 +15,7 @@ import numpy as np
 from camcal import files
 from camcal.cameras.catalogue import MODELS as LENSES
 from camcal.cameras.catalogue import model_named
-from camcal.cameras.lens import OPENCV
+from camcal.cameras.lens import OPENCV as LIBRARY
 from camcal.cameras.model import Camera
 from camcal.errors import InvalidInput
 from camcal.formats.camera_file import CameraEntry, CameraFile, Transform, pose_between
@@ -29,7 +29,7 @@ from camcal.parsing import LARGEST
 
 FISHEYE, OMNIDIR = "kannala_brandt4", "mei"
 MODELS = ("opencv5", "opencv8", "opencv12", "opencv14", FISHEYE, OMNIDIR)
-BY_COUNT = {len(model.parameter_names) - 4: name for name, model in LENSES.items() if model.opencv == OPENCV}
+BY_COUNT = {len(model.parameter_names) - 4: name for name, model in LENSES.items() if model.opencv == LIBRARY}
 
 # The names that camera matrix and coefficients go by, those of OpenCV's programs first.
 _MATRIX = (
@@ -203,7 +203,7 @@ def usage(file: CameraFile) -> str:
     lens = next(iter(file.cameras.values())).camera.model
     if len(file.cameras) == 1 or lens.name == OMNIDIR:
         return opencv_usage(file)
-    module = f"{OPENCV}.fisheye" if lens.name == FISHEYE else OPENCV
+    module = f"{LIBRARY}.fisheye" if lens.name == FISHEYE else LIBRARY
     return (
         f"use {module}.stereoRectify(M1, D1, M2, D2, size, R, T); R, T take points of the first camera to the second, m"
     )
@@ -221,7 +221,7 @@ def _extrinsics(file: CameraFile) -> dict[str, file_storage.Item]:
     return {} if pose is None else {"R": np.array(pose.rotation), "T": np.array(pose.translation)[:, None]}
 
 
-FORMAT = CameraFormat(
+OPENCV = CameraFormat(
     name="opencv",
     title="OpenCV FileStorage",
     suffixes=(".yml", ".yaml", ".xml", ".json"),

@@ -15,9 +15,8 @@ from camcal import files
 from camcal.errors import InvalidInput
 from camcal.formats.camera_file import CameraEntry, CameraFile, Transform, pose_between
 from camcal.formats.cameras import file_storage, ros
-from camcal.formats.cameras.lenses import Lenses
 from camcal.formats.cameras.record import CAMERA, LEFT, RIGHT, CameraFormat, Given, Source
-from camcal.formats.cameras.values import Values
+from camcal.formats.cameras.values import Lenses, Values
 from camcal.formats.documents import parse_foreign
 from camcal.geometry.pose import JOINT
 
@@ -105,10 +104,10 @@ def usage(file: CameraFile) -> str:
     """Return what has to be added, and which versions read a pair of fisheyes wrongly."""
     pair = len(file.cameras) == 2 and any("k4" in entry.camera.model.parameter_names for entry in file.cameras.values())
     doubt = "; some versions take Camera1.k1 to k4 for the second camera, too: check Settings.cc" if pair else ""
-    return f"{FORMAT.note}{doubt}"
+    return f"{ORBSLAM3.note}{doubt}"
 
 
-FORMAT = CameraFormat(
+ORBSLAM3 = CameraFormat(
     name="orbslam3",
     title="ORB-SLAM3 settings",
     suffixes=(".yaml", ".yml"),

@@ -328,7 +328,7 @@ def _centre(camera: Camera, rectified_R_camera: Array) -> Array:
     return np.asarray((near[:, :2] / near[:, 2:]).mean(axis=0)) if len(near) else np.zeros(2)
 
 
-FORMAT = CameraFormat(
+ROS = CameraFormat(
     name="ros",
     title="ROS camera_info",
     suffixes=(".yaml", ".yml"),

@@ -65,7 +65,7 @@ def _rows(matrix: Array) -> list[str]:
     return [" ".join(map(exact_text, row)) for row in matrix.tolist()]
 
 
-FORMAT = CameraFormat(
+ROS_INI = CameraFormat(
     name="ros_ini",
     title="ROS camera_info .ini",
     suffixes=(".ini",),

@@ -1,7 +1,9 @@
-"""URDF: where the cameras of a rig stand, as links of a robot; lenses are not part of it, covariances are comments.
+"""Where the cameras of a rig stand, for ROS: links of a robot as URDF, or static transforms as a launch file.
 
-A link named CAMERA_optical_frame has the axes of a camera's image: x right, y down, z forward (REP 103). The origin of
-a joint is parent_T_child; rpy turn about the fixed axes x, y, z, in this order.
+Lenses are not part of either; covariances are comments. A link of URDF named CAMERA_optical_frame has the axes of a
+camera's image: x right, y down, z forward (REP 103). The origin of a joint is parent_T_child; rpy turn about the fixed
+axes x, y, z, in this order. Launch files are .launch.xml of ROS 2 and .launch of ROS 1.
+Source: tf2_ros's static_transform_publisher: parent_T_child in metres, quaternion x y z w, then parent and child.
 """
 
 from pathlib import Path
@@ -19,6 +21,9 @@ OPTICAL = "_optical_frame"
 COVARIANCE = frozenset({"covariance of transforms"})
 NO_LENSES = "lenses are not part of it: write camera_info as well, --to ros"
 _ABOUT_FIXED_AXES = rotation.EulerOrder("xyz", intrinsic=False)
+
+_ROS_1 = ".launch"
+_KEYS = ("x", "y", "z", "qx", "qy", "qz", "qw", "frame-id", "child-frame-id")
 
 
 def frames_in_root(path: Path, file: CameraFile) -> tuple[str, dict[str, Transform]]:
@@ -47,7 +52,7 @@ def covariance_lines(transform: Transform) -> list[str]:
     return [f"<!-- covariance of geometry_msgs/PoseWithCovariance, m and rad: {numbers} -->"]
 
 
-def write(path: Path, file: CameraFile) -> None:
+def write_urdf(path: Path, file: CameraFile) -> None:
     """Write the frames as links on one root; raises InvalidInput as `frames_in_root` does, FileError."""
     root, poses = frames_in_root(path, file)
     lines = ['<?xml version="1.0"?>', '<robot name="rig">', f"  <link name={quoteattr(root)}/>"]
@@ -67,14 +72,45 @@ def write(path: Path, file: CameraFile) -> None:
     files.write_text(path, "\n".join([*lines, "</robot>", ""]))
 
 
-FORMAT = CameraFormat(
+URDF = CameraFormat(
     name="urdf",
     title="URDF robot",
     suffixes=(".urdf",),
     models=EVERY_LENS,
     read=write_only("URDF robot"),
-    write=write,
+    write=write_urdf,
     poses="origin: root_T_frame, rpy about fixed axes; covariance as a comment",
+    keeps=COVARIANCE,
+    note=NO_LENSES,
+    frames=ANY_FRAME,
+)
+
+
+def write_ros_tf(path: Path, file: CameraFile) -> None:
+    """Write a publisher for every frame; raises InvalidInput as `frames_in_root` does, FileError."""
+    root, poses = frames_in_root(path, file)
+    old = path.suffix.lower() == _ROS_1
+    run = "type" if old else "exec"
+    lines = ["<launch>"]
+    for name, item in poses.items():
+        pose = item.pose
+        w, *imaginary = rotation.to_quaternion(pose.rotation).tolist()
+        values = [*(exact_text(value) for value in (*pose.translation.tolist(), *imaginary, w)), root, name]
+        words = values if old else [f"--{key} {value}" for key, value in zip(_KEYS, values, strict=True)]
+        node = f'  <node pkg="tf2_ros" {run}="static_transform_publisher" name={quoteattr(f"{name}_publisher")}'
+        lines += [f"  {line}" for line in covariance_lines(item)]
+        lines.append(f"{node} args={quoteattr(' '.join(words))}/>")
+    files.write_text(path, "\n".join([*lines, "</launch>", ""]))
+
+
+ROS_TF = CameraFormat(
+    name="ros_tf",
+    title="ROS launch file",
+    suffixes=(".launch", ".xml"),
+    models=EVERY_LENS,
+    read=write_only("ROS launch file"),
+    write=write_ros_tf,
+    poses="static_transform_publisher: root_T_frame, quaternion x y z w; covariance as a comment",
     keeps=COVARIANCE,
     note=NO_LENSES,
     frames=ANY_FRAME,

@@ -20,7 +20,7 @@ from camcal.formats.documents import parse_json
 from camcal.formats.pointclouds import glb, las, pcd, ply
 from camcal.formats.pointclouds.record import PointCloudFile, blocks_of, cloud_of, from_comments, numbers_in, text_rows
 from camcal.images.image import arrays_of
-from camcal.stereo.points.frames import COLOUR, INTENSITY, METRES, NORMAL, POSITION, SIGMA, VertexStream
+from camcal.stereo.depth import COLOUR, INTENSITY, METRES, NORMAL, POSITION, SIGMA, VertexStream
 
 _FIELDS: dict[str, tuple[str, ...]] = {
     "points": POSITION,

@@ -18,7 +18,7 @@ from camcal.errors import FileError, InvalidInput
 from camcal.formats.pointclouds.record import MILLIMETRES, PointCloudFile, blocks_of, cloud_of
 from camcal.geometry.pose import rotation_of
 from camcal.raw.develop import encode
-from camcal.stereo.points.frames import COLOUR, INTENSITY, METRES, NORMAL, POSITION, SIGMA, VertexStream
+from camcal.stereo.depth import COLOUR, INTENSITY, METRES, NORMAL, POSITION, SIGMA, VertexStream
 
 MAGIC, VERSION = b"glTF", 2
 HEADER = struct.Struct("<4sII")  # magic, version, bytes of the file

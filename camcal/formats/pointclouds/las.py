@@ -19,7 +19,7 @@ from camcal import files
 from camcal.arrays import Array
 from camcal.errors import FileError, InvalidInput
 from camcal.formats.pointclouds.record import MILLIMETRES, PointCloudFile, blocks_of, cloud_of
-from camcal.stereo.points.frames import COLOUR, INTENSITY, NORMAL, POSITION, SIGMA, VertexStream
+from camcal.stereo.depth import COLOUR, INTENSITY, NORMAL, POSITION, SIGMA, VertexStream
 
 _POINT_FORMAT = 2  # x y z, intensity, red green blue
 _FINEST = 1e-6  # m

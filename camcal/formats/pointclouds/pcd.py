@@ -21,7 +21,7 @@ from camcal.formats.pointclouds.record import (
     text_rows,
 )
 from camcal.parsing import parse_integer
-from camcal.stereo.points.frames import COLOUR, VertexStream
+from camcal.stereo.depth import COLOUR, VertexStream
 
 _NAMES = {"nx": "normal_x", "ny": "normal_y", "nz": "normal_z"}  # as PCL has them
 _PACKED = ("rgb", "rgba")

@@ -20,7 +20,7 @@ from camcal.formats.pointclouds.record import (
     text_rows,
     text_table,
 )
-from camcal.stereo.points.frames import VertexStream
+from camcal.stereo.depth import VertexStream
 
 _WRITTEN = {"f": "float", "u": "uchar"}
 _TYPES = {

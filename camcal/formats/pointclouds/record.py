@@ -13,7 +13,7 @@ from camcal import files
 from camcal.arrays import Array
 from camcal.dataclass import dataclass, field
 from camcal.errors import FileError
-from camcal.stereo.points.frames import COLOUR, INTENSITY, METRES, NORMAL, POSITION, SIGMA, VertexStream, vertex_type
+from camcal.stereo.depth import COLOUR, INTENSITY, METRES, NORMAL, POSITION, SIGMA, VertexStream, vertex_type
 
 MILLIMETRES = "mm"
 

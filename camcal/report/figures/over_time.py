@@ -13,7 +13,7 @@ from camcal.dataclass import dataclass
 from camcal.estimate.tracking.track import MEASURED, PREDICTED, REJECTED, Track
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
-from camcal.optics.lens import blur_disc
+from camcal.optics import blur_disc
 from camcal.report.figures.figure import WIDTH, Plot, Theme, beside, logarithmic_labels
 
 _AXES = "xyz"

@@ -16,18 +16,22 @@ from camcal.arrays import Array
 from camcal.opencv import remap
 from camcal.raw.tiles import Each, one_by_one
 from camcal.stereo.disparity import Confidence, Disparity
-from camcal.stereo.matching.filling import Filled, everywhere, from_the_background, smoothed, without_spikes
 from camcal.stereo.matching.matchers import (
+    Filled,
     Found,
     Fused,
     by_census,
     by_gray_levels,
     by_gray_levels_unchecked,
+    everywhere,
+    from_the_background,
     fused,
     ordering_holds,
     single_matcher,
+    smoothed,
     textured,
     without_speckles,
+    without_spikes,
 )
 from camcal.stereo.matching.preparation import GrayPair, Masks, Prepared, prepare
 from camcal.stereo.matching.semi_global import UNSEEN, aggregate, census, equiangular_offset, least

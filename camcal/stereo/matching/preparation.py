@@ -7,9 +7,9 @@ from camcal.arrays import Array, BoolArray
 from camcal.dataclass import dataclass, replace
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.messages import Message
-from camcal.stereo.pair.alignment import Residual, align_rows, quick_residual, row_correction
-from camcal.stereo.pair.coarse import CoarseMap, coarse_map, default_range, range_in
-from camcal.stereo.pair.pair_check import SWAPPED, exposure_of, failure_of
+from camcal.stereo.alignment import Residual, align_rows, quick_residual, row_correction
+from camcal.stereo.coarse import CoarseMap, coarse_map, default_range, range_in
+from camcal.stereo.pair_check import SWAPPED, exposure_of, failure_of
 
 _DARKEST, _BRIGHTEST = 0.1, 99.9  # percentiles of deep images that become 0 and 255
 _DIFFERENT = 5.0  # gray levels of 255, RMS; where two exposures differ by less, correcting them gains nothing

@@ -10,8 +10,7 @@ from camcal import files
 from camcal.cameras.model import require_central
 from camcal.dataclass import dataclass, replace
 from camcal.errors import InvalidInput
-from camcal.formats import boards, cameras
-from camcal.formats.addresses import split_address
+from camcal.formats import boards, cameras, split_address
 from camcal.formats.camera_file import CameraFile
 from camcal.geometry.pose import Pose
 from camcal.messages import counted
@@ -61,7 +60,7 @@ def advise(options: AdviseOptions, progress: Progress = SILENT) -> AdviseReport:
         known, seen = known_of_file(cameras.read(path, progress), str(path), name, board), []
     advice = best_views(known, options.count, seen)
     if options.output is not None:
-        from camcal.report.figures.advice import suggested_views
+        from camcal.report.figures.board import suggested_views
         from camcal.report.figures.figure import encoded
 
         corners = np.concatenate([view.pixels for view, _ in seen]) if seen else np.zeros((0, 2))

@@ -7,8 +7,7 @@ import numpy as np
 
 from camcal.dataclass import dataclass
 from camcal.errors import InvalidInput
-from camcal.formats import boards, cameras
-from camcal.formats.addresses import split_address
+from camcal.formats import boards, cameras, split_address
 from camcal.formats.camera_file import CameraFile
 from camcal.geometry import rotation as so3
 from camcal.options import given_words

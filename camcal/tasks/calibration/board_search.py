@@ -21,7 +21,7 @@ from camcal.run.options import BatchOptions
 from camcal.run.resume import Items
 from camcal.targets.board import APRILGRID, ASYMMETRIC_CIRCLES, CHARUCO, CHESSBOARD, CIRCLES, Board
 from camcal.targets.checker.charuco import arrangement_votes, arrangements
-from camcal.targets.corners.measure import measure
+from camcal.targets.corner_measurement import measure
 from camcal.targets.detect import SEED, detect, locate
 from camcal.targets.detection import BoardDetection
 from camcal.tasks.calibration.video_frames import Frame, Video, detect_frame

@@ -13,7 +13,7 @@ from camcal.run.outputs import claim, overwrites, writes
 from camcal.targets.board import APRILGRID, ASYMMETRIC_CIRCLES, CHARUCO, CHESSBOARD, Board
 from camcal.targets.page import Page, Paper, paper_named, size_in_pixels
 from camcal.targets.printing import MM, RULER_MM, Footer, Ink, Sheet, encoded, ink_of, page_of, require_fine
-from camcal.tasks.calibration.sheet_options import SheetOptions
+from camcal.tasks.calibration.drawing_options import SheetOptions
 
 DPI = 254.0  # ten pixels a millimetre
 

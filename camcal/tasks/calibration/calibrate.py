@@ -15,16 +15,14 @@ from camcal.calibrate.several_cameras import name_groups
 from camcal.cameras.catalogue import DEFAULT_MODEL, model_named
 from camcal.cameras.validity import ImageCircle
 from camcal.errors import GateFailed, InsufficientData, InvalidInput, NotConverged
-from camcal.formats import detections, native, native_entry
-from camcal.formats.addresses import split_address
+from camcal.formats import detections, native, native_entry, split_address
 from camcal.formats.camera_file import CameraEntry
 from camcal.messages import Message
 from camcal.options import command_line
 from camcal.progress import SILENT, Progress, stage, warn_of
 from camcal.quality.projection_uncertainty import ProjectionUncertainty, too_uncertain
-from camcal.raw.names import COLOURS
-from camcal.report.calibration import as_data, candidates_data, uncertainty_data
-from camcal.report.times import time_data
+from camcal.raw import COLOURS
+from camcal.report.calibration import as_data, candidates_data, time_data, uncertainty_data
 from camcal.run.outputs import writes
 from camcal.targets.board import Board
 from camcal.targets.detection import BoardDetection
@@ -80,7 +78,7 @@ def seen_of(options: CalibrateOptions, board: Board | str | None, progress: Prog
     )
     if not options.rolling_shutter:
         return seen
-    from camcal.tasks.calibration.rolling_shutter import with_frame_times
+    from camcal.tasks.calibration.camera_times import with_frame_times
 
     return with_frame_times(seen, options.timing, progress)
 
@@ -236,7 +234,7 @@ def _ways(
     whole = partial(solve, board=board, options=how, circle=circle, choose=choose, progress=progress)
     if not options.rolling_shutter:
         return brief, whole
-    from camcal.tasks.calibration.rolling_shutter import solve_at_once
+    from camcal.tasks.calibration.camera_times import solve_at_once
 
     return brief, partial(solve_at_once, brief=brief, solve=whole, circle=circle, progress=progress)
 

@@ -27,9 +27,8 @@ from camcal.quality.assess import Assessment
 from camcal.quality.projection_uncertainty import ProjectionUncertainty
 from camcal.quality.range_uncertainty import CalibrationBoards
 from camcal.records import Brief
-from camcal.report.calibration import headline, view_record
+from camcal.report.calibration import headline, time_data, view_record
 from camcal.report.table import projection_words, region_words
-from camcal.report.times import time_data
 from camcal.targets.board import Surface
 from camcal.tasks.calibration.board_views import BoardViews
 

@@ -14,8 +14,7 @@ from camcal.arrays import FloatArray
 from camcal.calibrate.known_cameras import KnownBoard
 from camcal.dataclass import dataclass, replace
 from camcal.errors import GateFailed, InsufficientData, InvalidInput
-from camcal.formats import cameras
-from camcal.formats.addresses import split_address
+from camcal.formats import cameras, split_address
 from camcal.formats.boards import short_form
 from camcal.formats.camera_file import CameraEntry, CameraFile, pair_covariance, parameters_covariance, pose_between
 from camcal.formats.poses.record import Poses
@@ -265,7 +264,7 @@ def _write(report: CheckReport, options: CheckOptions, known: Mapping[str, Check
     if options.junit is not None:
         files.write_text(options.junit, junit(report, options.camera))
     if options.report is not None:
-        from camcal.report.page.check import check_page
+        from camcal.report.page.checks import check_page
         from camcal.report.page.record import rendered
         from camcal.tasks.reports.closing import made
 

@@ -10,9 +10,9 @@ from camcal.run.outputs import claim, writes
 from camcal.simulate.scene import Truth
 from camcal.tasks.calibration.calibrate import calibrate
 from camcal.tasks.calibration.camera_result import CalibrateReport
+from camcal.tasks.calibration.drawing_options import UndistortOptions
 from camcal.tasks.calibration.options import CalibrateOptions, DemoOptions
 from camcal.tasks.calibration.undistort import UndistortReport, undistort
-from camcal.tasks.calibration.undistort_options import UndistortOptions
 from camcal.tasks.simulation.options import BoardShape, SimulateOptions
 from camcal.tasks.simulation.simulate import BOARD, IMAGES, SimulateReport, simulate
 

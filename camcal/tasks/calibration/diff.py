@@ -11,8 +11,7 @@ from camcal import files
 from camcal.cameras.model import Camera
 from camcal.dataclass import dataclass
 from camcal.errors import InvalidInput
-from camcal.formats import cameras, tables
-from camcal.formats.addresses import split_address
+from camcal.formats import cameras, split_address, tables
 from camcal.formats.camera_file import CameraEntry, CameraFile
 from camcal.formats.provenance import image_counts
 from camcal.messages import Message

@@ -7,8 +7,7 @@ from typing import Any
 from camcal.cameras.model import require_central
 from camcal.dataclass import dataclass
 from camcal.errors import InvalidInput
-from camcal.formats import cameras
-from camcal.formats.addresses import split_address
+from camcal.formats import cameras, split_address
 from camcal.formats.camera_file import CameraFile
 from camcal.quality.range_uncertainty import CameraErrors, ErrorSize, camera_errors
 from camcal.quality.rig_geometry import DISPARITY_PX, PairErrors, pair_errors

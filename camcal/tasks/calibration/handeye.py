@@ -10,13 +10,11 @@ from camcal import files
 from camcal.arrays import Array
 from camcal.calibrate.known_cameras import KnownBoard, KnownCamera, estimate_known, freed, prior_of, wide_prior_of
 from camcal.calibrate.robot.estimator import RobotEstimate, estimate_robot
-from camcal.calibrate.robot.problem import RobotPoses
-from camcal.calibrate.robot.start import closed_form
+from camcal.calibrate.robot.problem import RobotPoses, closed_form
 from camcal.cameras.observations import Observations
 from camcal.dataclass import dataclass, replace
 from camcal.errors import InvalidInput, NotConverged
-from camcal.formats import cameras, frames, native, provenance, robot_poses
-from camcal.formats.addresses import split_address
+from camcal.formats import cameras, frames, native, provenance, robot_poses, split_address
 from camcal.formats.camera_file import (
     STEP,
     CameraEntry,
@@ -36,7 +34,7 @@ from camcal.run.outputs import claim, writes
 from camcal.targets.board import Board, Surface
 from camcal.targets.detection import BoardDetection
 from camcal.tasks.calibration.board_views import board_views, view_settings
-from camcal.tasks.calibration.handeye_options import HandEyeOptions
+from camcal.tasks.calibration.check_options import HandEyeOptions
 from camcal.tasks.calibration.handeye_poses import (
     ReadPoses,
     SeenBoard,
@@ -108,7 +106,7 @@ def handeye(options: HandEyeOptions, progress: Progress = SILENT) -> HandEyeRepo
         )
         native.write(options.output, written)
     if options.report is not None:
-        from camcal.report.page.handeye import handeye_page
+        from camcal.report.page.checks import handeye_page
         from camcal.report.page.record import rendered
         from camcal.tasks.reports.closing import made
 

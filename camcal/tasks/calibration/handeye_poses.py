@@ -8,9 +8,10 @@ import numpy as np
 
 from camcal import files
 from camcal.arrays import Array
-from camcal.calibrate.robot.problem import SeenPoses
+from camcal.calibrate.robot.problem import Poses, SeenPoses
 from camcal.calibrate.robot.reading import (
     LEAST_POSES,
+    Motion,
     Reading,
     duplicates,
     fits_better,
@@ -20,8 +21,6 @@ from camcal.calibrate.robot.reading import (
     shift_of,
     undetermined_axis,
 )
-from camcal.calibrate.robot.start import Poses
-from camcal.calibrate.robot.timing import Motion
 from camcal.dataclass import dataclass, replace
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.formats import poses as pose_files
@@ -31,7 +30,7 @@ from camcal.formats.poses.record import FORMAT
 from camcal.messages import Message, counted
 from camcal.parsing import is_number
 from camcal.targets.detection import BoardDetection
-from camcal.tasks.calibration.handeye_options import BASE_T_HAND, HAND_T_BASE, UNITS, HandEyeOptions
+from camcal.tasks.calibration.check_options import BASE_T_HAND, HAND_T_BASE, UNITS, HandEyeOptions
 
 _LATEST_STAMP = 1e11  # s: a larger number is in ns
 _NS = 1e-9

@@ -26,7 +26,7 @@ from camcal.raw.reading import read_detection_image
 from camcal.run.fanout import fan_out
 from camcal.run.options import BatchOptions
 from camcal.targets.board import Board
-from camcal.targets.corners.measure import Expected, measure, remeasure, seen_cells, signs
+from camcal.targets.corner_measurement import Expected, measure, remeasure, seen_cells, signs
 from camcal.targets.detection import NEAR, BoardDetection, Detections, MaskedImage, size_relation
 from camcal.tasks.calibration.board_search import SAMPLE, Material, gray_of
 from camcal.tasks.calibration.mixed_sizes import circle_fits, usual_size

@@ -19,12 +19,12 @@ from camcal.parsing import did_you_mean
 from camcal.report.table import held_by_prior_words, length_unit, projection_words, value_and_std
 from camcal.run.outputs import writes
 from camcal.targets.board import CLASSES, RATIOS, Surface
+from camcal.tasks.file_options import InspectOptions
 from camcal.tasks.gates import stated
 from camcal.tasks.given_camera import read_part
 from camcal.tasks.options import WHOLE, ImagePart
 from camcal.tasks.rigs.inspect_rig import RigInspection, draw_rig, inspect_rig
 from camcal.tasks.rigs.inspect_rig import as_data as rig_data
-from camcal.tasks.show_options import InspectOptions
 
 if TYPE_CHECKING:
     from camcal.tasks.calibration.errors_at_range import RangeErrors

@@ -24,8 +24,7 @@ from camcal.options import (
 )
 from camcal.raw.options import AS_IMAGES, ImageReadOptions
 from camcal.run.options import DEFAULT_BATCH, BatchOptions
-from camcal.tasks.gates import trust_option
-from camcal.tasks.measured_at import LENGTHS, ROBOT_NOISE
+from camcal.tasks.gates import LENGTHS, ROBOT_NOISE, trust_option
 from camcal.tasks.options import (
     BOARD_OPTION,
     CAMERA_FILE,
@@ -44,10 +43,11 @@ from camcal.tasks.options import (
     Overwrite,
     Recursive,
     ReportFile,
+    lens_model_names,
+    lens_models,
     output_option,
     result_option,
 )
-from camcal.tasks.suggestions import lens_model_names, lens_models
 from camcal.tasks.timing import Timing
 
 if TYPE_CHECKING:

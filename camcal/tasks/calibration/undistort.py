@@ -1,6 +1,7 @@
 """`camcal undistort`: undistorted images and videos, and their camera file.
 
-With --points, a table of pixels of the distorted image to pixels of the view, and the reverse.
+With --points, a table of pixels of the distorted image to pixels of the view, and the reverse. With --maps, where the
+pixels of the view come from, for other programs to draw it.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -16,9 +17,9 @@ from camcal.cameras.model import Camera
 from camcal.cameras.validity import ImageCircle
 from camcal.dataclass import dataclass, field, replace
 from camcal.errors import CamcalError, InvalidInput
-from camcal.formats import cameras, native, provenance
-from camcal.formats.addresses import split_address
+from camcal.formats import cameras, native, provenance, split_address
 from camcal.formats.camera_file import CalibrationVerdict, CameraEntry, CameraFile, verdict_of_view
+from camcal.formats.maps import mesh_nodes, write_maps, write_mesh
 from camcal.formats.tables import Table, cell, csv_rows, numbered_lines
 from camcal.images.files import KINDS, load, save
 from camcal.images.options import PINHOLE
@@ -32,7 +33,7 @@ from camcal.run import fingerprint
 from camcal.run.outputs import claim, writes
 from camcal.run.paths import Media, find_media, names_file, refuse_collisions, require_one
 from camcal.tasks.calibration.drawing import Drawing, Drawn, Sources, require_success, same_shape
-from camcal.tasks.calibration.undistort_options import UndistortOptions
+from camcal.tasks.calibration.drawing_options import UndistortOptions
 from camcal.tasks.given_camera import outside_region, read_camera_file, require_no_image, view_outside_region
 
 CAMERA_FILE = "camera.yaml"
@@ -42,6 +43,8 @@ _FRAME_SUFFIX = ".jpg"
 _SHRUNK = 0.25  # of the size it had: below that, the middle of an image is worth a warning
 _PIXEL = ("u", "v")
 _DIGITS = 12
+
+MESH_SUFFIX = ".txt"
 
 
 @dataclass(frozen=True, eq=False)
@@ -346,3 +349,48 @@ def points_document(report: PointsReport) -> dict[str, Any]:
         "points": report.count,
         "without_place": report.lost,
     }
+
+
+@dataclass(frozen=True, eq=False)
+class MapsReport:
+    """What was written, how it is used, and the share of pixels that have a source.
+
+    camera_file: the camera of the view, None for the way back.
+    """
+
+    output: Path
+    camera_file: Path | None
+    usage: str
+    view: Camera
+    valid: float
+
+
+@writes
+def undistort_maps(options: UndistortOptions, progress: Progress = SILENT) -> MapsReport:
+    """Return what was written to options.output: the map of the view, or the way back.
+
+    Raises InvalidInput for a view that the camera cannot give, or that the format cannot hold; FileError.
+    """
+    source = read_source(options, lambda: options.view.size, progress)
+    output = options.output
+    camera_file = None if options.distort else output.with_suffix(".camera.yaml")
+    claim([output] if camera_file is None else [output, camera_file])
+    view = make_view(source.camera, options.view, source.circle)
+    lens, drawn = (view, source.camera) if options.distort else (source.camera, view)
+    circle = None if options.distort else source.circle
+    if output.suffix.lower() == MESH_SUFFIX:
+        nodes = mesh_nodes(drawn.image_size, options.mesh_step)
+        sources = move_pixels(drawn, lens, nodes.reshape(-1, 2)).reshape(nodes.shape)
+        usage = write_mesh(output, nodes, sources, options.mesh_step)
+        valid = float(np.mean((sources >= 0) & (sources <= np.array(lens.image_size) - 1)))
+    else:
+        maps = build_maps(lens, drawn, circle=circle)
+        usage, valid = write_maps(output, maps), float(np.mean(maps.valid()))
+    if camera_file is not None:
+        write_view(camera_file, source, view, command_line("undistort", options), progress)
+    return MapsReport(output, camera_file, usage, view, valid)
+
+
+def maps_document(report: MapsReport) -> dict[str, Any]:
+    """Return the report as plain data for --json."""
+    return {"output": report.output, "camera_file": report.camera_file, "usage": report.usage, "valid": report.valid}

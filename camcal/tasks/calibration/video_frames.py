@@ -27,7 +27,7 @@ from camcal.images.videos import title
 from camcal.progress import Progress
 from camcal.report.table import Column
 from camcal.targets.board import Board
-from camcal.targets.corners.measure import edge_blur
+from camcal.targets.corner_measurement import edge_blur
 from camcal.targets.detect import SEED, detect, locate
 from camcal.targets.detection import BoardDetection, MaskedImage
 from camcal.tasks.calibration.options import FrameOptions

@@ -6,6 +6,7 @@ from math import inf, pi, sqrt
 
 import numpy as np
 
+from camcal import optics
 from camcal.arrays import Array
 from camcal.cameras.catalogue import DEFAULT_MODEL, model_named
 from camcal.cameras.model import Camera
@@ -13,7 +14,6 @@ from camcal.dataclass import dataclass, field, replace
 from camcal.errors import InsufficientData, InvalidInput
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
-from camcal.optics import lens
 from camcal.quality.forecast import calibration_std, forecast_pose
 from camcal.records import entry
 from camcal.simulate.scene import observe
@@ -240,9 +240,9 @@ def _at(held: _Held, setup: Setup, options: BoardOptions, known: AtDistance, fil
 def _blur_factor(setup: Setup, known: AtDistance) -> float:
     """Return how much more a corner scatters than in a sharp image at rest: by defocus and motion, where known."""
     number, pitch = setup.effective_f_number, setup.pitch
-    spot = 0.0 if number is None or pitch is None else lens.airy_sigma(setup.options.wavelength, number) / pitch
-    spread = lens.edge_spread(spot, known.blur_px or 0.0, known.motion_px or 0.0)
-    return lens.edge_noise_factor(spread, lens.edge_spread(spot, 0.0, 0.0))
+    spot = 0.0 if number is None or pitch is None else optics.airy_sigma(setup.options.wavelength, number) / pitch
+    spread = optics.edge_spread(spot, known.blur_px or 0.0, known.motion_px or 0.0)
+    return optics.edge_noise_factor(spread, optics.edge_spread(spot, 0.0, 0.0))
 
 
 def _calibration(setup: Setup, board: Board, options: BoardOptions) -> tuple[Mapping[str, float] | None, str | None]:

@@ -12,7 +12,7 @@ from camcal.errors import InvalidInput
 from camcal.estimate.poses.records import AMBIGUOUS, WEAK_TURN
 from camcal.formats.boards import load_board
 from camcal.messages import Message
-from camcal.optics.lens import FORMATS, literal_mm, smallest_format
+from camcal.optics import FORMATS, literal_mm, smallest_format
 from camcal.progress import SILENT, Progress, warn_of
 from camcal.records import entry
 from camcal.report.table import number_text

@@ -5,11 +5,11 @@ from math import pi
 
 import numpy as np
 
+from camcal import optics
 from camcal.arrays import Array
 from camcal.cameras.model import Camera
 from camcal.cameras.validity import field_of_view, field_size, pixel_angles, pixel_sizes
 from camcal.dataclass import dataclass, field
-from camcal.optics import lens
 from camcal.records import entry
 from camcal.tasks.lenses.optics_setup import Setup
 
@@ -60,7 +60,7 @@ class Diffraction:
     @property
     def limited(self) -> bool:
         """Whether the lens, not the pixels, limits how fine a detail is."""
-        return self.airy_px is not None and self.airy_px > lens.AIRY_PIXELS
+        return self.airy_px is not None and self.airy_px > optics.AIRY_PIXELS
 
 
 @dataclass(frozen=True)
@@ -116,7 +116,7 @@ def angles_of_view(setup: Setup) -> FieldOfView | None:
     distance, sides = setup.principal_distance, setup.sensor
     if distance is None or sides is None:
         return None
-    return FieldOfView(*(lens.field_angle(length, distance) for length in (*sides, float(np.hypot(*sides)))))
+    return FieldOfView(*(optics.field_angle(length, distance) for length in (*sides, float(np.hypot(*sides)))))
 
 
 def pixel_angle(setup: Setup) -> PixelAngle | None:
@@ -142,11 +142,11 @@ def focus(setup: Setup) -> Focus | None:
     focal, distance, number, circle = setup.focal, setup.focus, setup.options.f_number, setup.circle
     if focal is None or distance is None:
         return None
-    found = lens.principal_distance(focal, distance), lens.magnification(focal, distance)
+    found = optics.principal_distance(focal, distance), optics.magnification(focal, distance)
     if number is None or circle is None:
         return Focus(*found, None, None, None, None)
-    near, far = lens.depth_of_field(focal, number, circle, distance)
-    return Focus(*found, lens.hyperfocal(focal, number, circle), near, far, far - near)
+    near, far = optics.depth_of_field(focal, number, circle, distance)
+    return Focus(*found, optics.hyperfocal(focal, number, circle), near, far, far - near)
 
 
 def diffraction(setup: Setup) -> Diffraction | None:
@@ -154,11 +154,11 @@ def diffraction(setup: Setup) -> Diffraction | None:
     number, pitch, wavelength = setup.effective_f_number, setup.pitch, setup.options.wavelength
     if number is None:
         return None
-    disc = lens.airy_diameter(wavelength, number)
+    disc = optics.airy_diameter(wavelength, number)
     if pitch is None:
         return Diffraction(disc)
-    contrast = lens.diffraction_contrast(wavelength, number, pitch)
-    return Diffraction(disc, disc / pitch, contrast, lens.widest_sharp_f_number(wavelength, pitch))
+    contrast = optics.diffraction_contrast(wavelength, number, pitch)
+    return Diffraction(disc, disc / pitch, contrast, optics.widest_sharp_f_number(wavelength, pitch))
 
 
 def exposure(setup: Setup) -> Exposure | None:
@@ -166,8 +166,8 @@ def exposure(setup: Setup) -> Exposure | None:
     number, effective, time = setup.options.f_number, setup.effective_f_number, setup.options.exposure
     if number is None or effective is None:
         return None
-    value = None if time is None else lens.exposure_value(number, time)
-    return Exposure(effective, lens.bellows_stops(setup.magnification or 0.0), value)
+    value = None if time is None else optics.exposure_value(number, time)
+    return Exposure(effective, optics.bellows_stops(setup.magnification or 0.0), value)
 
 
 def image_circle(setup: Setup) -> ImageCircle | None:
@@ -233,17 +233,17 @@ def _blur_px(setup: Setup, distance: float) -> float | None:
     focal, focused, number, pitch = setup.focal, setup.focus, setup.options.f_number, setup.pitch
     if focal is None or focused is None or number is None or pitch is None:
         return None
-    return float(lens.blur_disc(focal, number, focused, distance)) / pitch
+    return float(optics.blur_disc(focal, number, focused, distance)) / pitch
 
 
 def _motion(setup: Setup, pixel: float | None) -> tuple[float | None, float | None, float | None]:
     speed, time = setup.options.speed, setup.options.exposure
     if speed is None or pixel is None:
         return None, None, None
-    longest = lens.longest_exposure(speed, 1.0, pixel)
+    longest = optics.longest_exposure(speed, 1.0, pixel)
     if time is None:
         return None, longest, None
-    return lens.motion_blur(speed, time, pixel), longest, lens.stops_between(time, longest)
+    return optics.motion_blur(speed, time, pixel), longest, optics.stops_between(time, longest)
 
 
 def _stereo(setup: Setup, distance: float) -> tuple[float | None, float | None]:
@@ -251,7 +251,7 @@ def _stereo(setup: Setup, distance: float) -> tuple[float | None, float | None]:
     if baseline is None or setup.camera is None:
         return None, None
     fx = setup.camera.value("fx")
-    return fx * baseline / distance, lens.depth_error(distance, fx, baseline, setup.options.disparity_noise)
+    return fx * baseline / distance, optics.depth_error(distance, fx, baseline, setup.options.disparity_noise)
 
 
 def missing(setup: Setup) -> dict[str, str]:

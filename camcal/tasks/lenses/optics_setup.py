@@ -5,16 +5,15 @@ from collections.abc import Mapping
 from functools import cached_property
 from math import inf, isfinite
 
+from camcal import optics
 from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.cameras.validity import ImageCircle, field_size
 from camcal.dataclass import dataclass, field, replace
 from camcal.errors import InvalidInput
-from camcal.formats import cameras
-from camcal.formats.addresses import split_address
+from camcal.formats import cameras, split_address
 from camcal.messages import Message
-from camcal.optics import lens
-from camcal.optics.lens import SensorFormat, effective_f_number, pixel_pitch, sensor_format
+from camcal.optics import SensorFormat, effective_f_number, pixel_pitch, sensor_format
 from camcal.records import entry
 from camcal.tasks.given_camera import read_camera_file
 from camcal.tasks.lenses.options import OpticsOptions, is_possible
@@ -62,14 +61,14 @@ class Setup:
         """From the rear principal plane to the sensor, m; for a lens without a known focus that of infinity."""
         if self.measured and self.camera is not None and self.pitch is not None:
             return self.camera.value("fx") * self.pitch
-        return None if self.focal is None else lens.principal_distance(self.focal, self.focus or inf)
+        return None if self.focal is None else optics.principal_distance(self.focal, self.focus or inf)
 
     @property
     def magnification(self) -> float | None:
         """The size of the image over that of the object in focus; None without a focus."""
         if self.focal is None or self.focus is None:
             return None
-        return lens.magnification(self.focal, self.focus)
+        return optics.magnification(self.focal, self.focus)
 
     @property
     def effective_f_number(self) -> float | None:
@@ -166,11 +165,11 @@ def _solve(setup: Setup) -> Setup:
         raise InvalidInput(f"--solve {wanted} needs {' and '.join(missing)} too")
     focal, focus, side = setup.focal or 0.0, setup.focus or 0.0, setup.sensor[0] if setup.sensor else 0.0
     if wanted == "f":
-        focal = lens.focal_for_width(side, focus, width)
+        focal = optics.focal_for_width(side, focus, width)
         return replace(setup, focal=focal, solved=focal, sources={**setup.sources, "focal": _SOLVER})
     if wanted == "wd":
-        return _at_focus(setup, lens.focus_for_width(focal, side, width))
-    return _with_solved_sensor(setup, lens.sensor_for_width(focal, focus, width))
+        return _at_focus(setup, optics.focus_for_width(focal, side, width))
+    return _with_solved_sensor(setup, optics.sensor_for_width(focal, focus, width))
 
 
 def _at_focus(setup: Setup, distance: float) -> Setup:
@@ -191,12 +190,12 @@ def _with_focal(setup: Setup) -> Setup:
         return setup
     fx, focus, sources = setup.camera.value("fx"), setup.focus or inf, dict(setup.sources)
     if setup.pitch is None and setup.focal is not None and setup.size is not None:
-        pitch = lens.principal_distance(setup.focal, focus) / fx
+        pitch = optics.principal_distance(setup.focal, focus) / fx
         sources |= {"pitch": "focal length over fx", "sensor": "pixels times pitch"}
         return replace(setup, pitch=pitch, sensor=(setup.size[0] * pitch, setup.size[1] * pitch), sources=sources)
     if setup.pitch is None:
         return setup
-    focal = lens.focal_length(fx * setup.pitch, focus)
+    focal = optics.focal_length(fx * setup.pitch, focus)
     if setup.focal is None:
         return replace(setup, focal=focal, sources=sources | {"focal": "fx times pitch, and the focus"})
     if abs(focal / setup.focal - 1) <= _DISAGREE:

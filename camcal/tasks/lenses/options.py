@@ -23,14 +23,7 @@ from camcal.options import (
     declared,
     scaled,
 )
-from camcal.tasks.options import (
-    FIGURES,
-    WHOLE,
-    BoardText,
-    CameraName,
-    ImagePart,
-    Overwrite,
-)
+from camcal.tasks.options import FIGURES, WHOLE, BoardText, CameraName, ImagePart, Overwrite
 
 SENSOR, SCENE = "Sensor", "Scene"
 SOLVABLE = ("f", "wd", "sensor")

@@ -337,7 +337,7 @@ class PnpOptions(OptionsRecord):
     @property
     def address(self) -> tuple[Path | None, str | None]:
         """The file of the camera or rig, and the name of the camera in it that is meant, as far as there are any."""
-        from camcal.formats.addresses import split_address
+        from camcal.formats import split_address
 
         path, name = (None, None) if self.camera_file is None else split_address(self.camera_file)
         return path, name or self.name

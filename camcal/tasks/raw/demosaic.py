@@ -27,7 +27,7 @@ from camcal.images.video import frame_name
 from camcal.images.videos import address_of
 from camcal.options import NUMBERS, declared
 from camcal.progress import SILENT, Outcome, Progress, failed_items, reused
-from camcal.raw import calibration_frames
+from camcal.raw import HALF, MONO, PATTERNS, calibration_frames
 from camcal.raw.calibration_frames import dark_average, flat_gain, stack
 from camcal.raw.demosaic import resolved
 from camcal.raw.develop import (
@@ -43,7 +43,6 @@ from camcal.raw.develop import (
 from camcal.raw.dng import write_dng
 from camcal.raw.frame_facts import check_phase, green_diagonal, likely_white, low_peak
 from camcal.raw.mosaic import Mosaic, channel_names
-from camcal.raw.names import HALF, MONO, PATTERNS
 from camcal.raw.options import BARE_SUFFIXES, GRAY_WORLD, HEADERLESS_SUFFIXES, NO_BALANCE, Balance, Development
 from camcal.raw.reading import missing_pattern, read_mosaic
 from camcal.raw.tiles import Each, one_by_one

@@ -8,16 +8,16 @@ import numpy as np
 
 from camcal.dataclass import dataclass
 from camcal.images.image import RAW_SUFFIXES
+from camcal.raw import MONO
 from camcal.raw.frame_facts import BINS, ChannelFacts, channel_facts
 from camcal.raw.headerless import CandidateLayout, fitting_layouts, length_of
 from camcal.raw.mosaic import Capture, Mosaic, pattern_words
-from camcal.raw.names import MONO
 from camcal.raw.options import BARE_SUFFIXES, HEADERLESS_SUFFIXES
 from camcal.raw.pixel_formats import pixel_format_named
 from camcal.raw.reading import read_mosaic
 from camcal.report.table import Column
 from camcal.report.text_figures import letters
-from camcal.tasks.show_options import InspectOptions
+from camcal.tasks.file_options import InspectOptions
 
 LAYOUT_COLUMNS = (Column("size"), Column("stride"), Column("format", wraps=True))
 CHANNEL_COLUMNS = ("channel", "mean", "least", "most", "% at black", "% at white")

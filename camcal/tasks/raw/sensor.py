@@ -20,7 +20,7 @@ from camcal.errors import InsufficientData, InvalidInput, Located
 from camcal.formats import emit, provenance
 from camcal.images.image import RAW_SUFFIXES
 from camcal.messages import Message
-from camcal.optics.lens import pixel_pitch, sensor_format
+from camcal.optics import pixel_pitch, sensor_format
 from camcal.options import command_line
 from camcal.progress import SILENT, Progress, values_of, warn_of
 from camcal.raw.emva import DECIBELS_A_STOP, FULL_WELL, Characterisation, Curve, Figure, Figures, characterise
@@ -35,7 +35,7 @@ from camcal.run.fanout import fan_out
 from camcal.run.outputs import writes
 from camcal.run.paths import find_images
 from camcal.tasks.figure_files import figure_data, write_figures
-from camcal.tasks.plot_documents import SENSOR
+from camcal.tasks.fit_report import SENSOR
 from camcal.tasks.raw.demosaic import read_frame
 from camcal.tasks.raw.options import RawInput, SensorOptions
 

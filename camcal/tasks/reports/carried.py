@@ -21,8 +21,7 @@ from camcal import files
 from camcal.calibrate.intrinsics import CandidateModel
 from camcal.dataclass import dataclass, field
 from camcal.errors import FileError, InvalidInput, Located
-from camcal.formats import boards, detections, documents
-from camcal.formats.addresses import split_address
+from camcal.formats import boards, detections, documents, split_address
 from camcal.formats.detections_text import csv_text
 from camcal.formats.schema import integer, items, mapping, number, one_of, plain, text
 from camcal.messages import Message, as_data

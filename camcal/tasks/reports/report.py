@@ -9,7 +9,7 @@ from pathlib import Path
 from camcal import files
 from camcal.dataclass import dataclass, replace
 from camcal.errors import InvalidInput
-from camcal.formats import cameras, detections, vnl
+from camcal.formats import cameras, corner_lists, detections
 from camcal.formats.camera_file import CameraEntry, CameraFile
 from camcal.messages import Message, counted
 from camcal.options import given_words
@@ -48,11 +48,10 @@ from camcal.tasks.calibration.inspect import (
     transform_lines,
 )
 from camcal.tasks.calibration.options import CalibrateOptions
+from camcal.tasks.file_options import InspectOptions, ReportOptions
 from camcal.tasks.reports.closing import environment, made, origin_section, repeat_section
-from camcal.tasks.reports.options import ReportOptions
 from camcal.tasks.rigs.calibrate_rig import rig
 from camcal.tasks.rigs.options import RigSettings, RigTaskOptions
-from camcal.tasks.show_options import InspectOptions
 
 _REST = (
     "Residuals, coverage, poses and images are not in this file. They need the detections: camcal report DETECTIONS, "
@@ -94,7 +93,7 @@ def report(options: ReportOptions, progress: Progress = SILENT) -> Reported:
 
 def _has_several_cameras(options: ReportOptions) -> bool:
     """Return whether a detections file names several cameras; a .vnl names none."""
-    if Path(options.file).suffix.lower() == vnl.SUFFIX:
+    if Path(options.file).suffix.lower() == corner_lists.VNL:
         return False
     return len({view.camera for view in detections.read_csv(Path(options.file)).views}) > 1
 

@@ -25,10 +25,10 @@ from camcal.targets.detection import BoardDetection, Detections
 from camcal.tasks.calibration import calibrate as calibration
 from camcal.tasks.calibration.board_views import BoardViews
 from camcal.tasks.calibration.options import CalibrateOptions
+from camcal.tasks.file_options import RerunOptions
 from camcal.tasks.reports import carried, pages
 from camcal.tasks.reports.carried import CALIBRATE, PageData
 from camcal.tasks.reports.closing import environment, environment_differences, result_text
-from camcal.tasks.reports.options import RerunOptions
 from camcal.tasks.reports.pages import CAMERA_NAME, RIG_NAME
 from camcal.tasks.rigs import calibrate_rig
 from camcal.tasks.rigs.matching import Matched

@@ -19,9 +19,8 @@ from camcal.options import command_line
 from camcal.progress import SILENT, Progress, stage, warn_of
 from camcal.quality.assess import assess
 from camcal.quality.projection_uncertainty import too_uncertain
-from camcal.report.calibration import as_data, candidates_data, uncertainty_data
+from camcal.report.calibration import as_data, candidates_data, times_data, uncertainty_data
 from camcal.report.rig import motion_data, scales_data, transform_data
-from camcal.report.times import times_data
 from camcal.run.journal import journal_beside
 from camcal.run.outputs import writes
 from camcal.targets.board import Board
@@ -159,7 +158,7 @@ def _solve(
     """Return the rig, from views as of one moment where their times are asked for."""
     times = None
     if settings.timed:
-        from camcal.tasks.rigs.rig_times import synchronised
+        from camcal.tasks.calibration.camera_times import synchronised
 
         lenses = brief_lenses(views.captures, views.board, settings, shape, circles)
         with stage(progress, "times"):
@@ -171,7 +170,7 @@ def _solve(
         how = replace(_solver_options(settings, given, shape, models), bodies=bodies, measured=measured)
         calibration = calibrate_rig(views.captures, views.board, how)
     if times is not None:
-        from camcal.tasks.rigs.rig_times import with_times
+        from camcal.tasks.calibration.camera_times import with_times
 
         calibration = with_times(calibration, times)
     return _Solution(views, models, calibration)

@@ -14,7 +14,7 @@ from camcal.errors import InvalidInput
 from camcal.formats import boards
 from camcal.formats.camera_file import CameraFile, rig_of
 from camcal.formats.schema import integer, items, mapping, number, text
-from camcal.geometry.camera_links import CameraLink, certain_path
+from camcal.geometry.frame_graph import CameraLink, certain_path
 from camcal.geometry.pose import Pose
 from camcal.messages import counted
 from camcal.quality.rig_geometry import PairGeometry, pair_geometry

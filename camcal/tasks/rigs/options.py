@@ -19,13 +19,7 @@ from camcal.options import (
 )
 from camcal.raw.options import AS_IMAGES, ImageReadOptions
 from camcal.tasks.calibration.options import CalibrationOptions
-from camcal.tasks.options import (
-    BOARD_OPTION,
-    CAMERA_FILE,
-    board_text,
-    result_option,
-)
-from camcal.tasks.suggestions import lens_model_names, lens_models
+from camcal.tasks.options import BOARD_OPTION, CAMERA_FILE, board_text, lens_model_names, lens_models, result_option
 
 if TYPE_CHECKING:
     from camcal.targets.board import Board

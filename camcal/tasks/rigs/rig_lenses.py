@@ -20,8 +20,7 @@ from camcal.cameras.observations import Observations
 from camcal.cameras.validity import ImageCircle
 from camcal.dataclass import dataclass, field, replace
 from camcal.errors import InsufficientData, InvalidInput
-from camcal.formats import cameras
-from camcal.formats.addresses import split_address
+from camcal.formats import cameras, split_address
 from camcal.formats.camera_file import CameraFile
 from camcal.messages import counted
 from camcal.parsing import did_you_mean

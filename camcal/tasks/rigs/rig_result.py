@@ -15,8 +15,8 @@ from camcal.messages import Message
 from camcal.quality.assess import Assessment
 from camcal.quality.projection_uncertainty import ProjectionUncertainty
 from camcal.records import Brief
+from camcal.report.calibration import time_data
 from camcal.report.rig import motion_data, scales_data
-from camcal.report.times import time_data
 from camcal.targets.board_set import surfaces_of
 from camcal.tasks.calibration.camera_result import RefinementSummary, camera_entry, image_record, is_shaped
 from camcal.tasks.rigs.rig_views import RigViews

@@ -32,9 +32,10 @@ from camcal.tasks.options import (
     ImagePart,
     Jobs,
     Overwrite,
+    lens_model_names,
+    lens_models,
     result_option,
 )
-from camcal.tasks.suggestions import lens_model_names, lens_models
 
 if TYPE_CHECKING:
     from camcal.simulate.mosaics import RawCamera

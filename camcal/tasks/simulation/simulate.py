@@ -19,8 +19,7 @@ from camcal.cameras.catalogue import DEFAULT_MODEL, model_named
 from camcal.cameras.model import Camera, require_central
 from camcal.dataclass import dataclass, replace
 from camcal.errors import CamcalError, InvalidInput
-from camcal.formats import boards, cameras, detections, native, poses, provenance
-from camcal.formats.addresses import split_address
+from camcal.formats import boards, cameras, detections, native, poses, provenance, split_address
 from camcal.formats.camera_file import CameraEntry, CameraFile, Transform, ValidRegion, rig_of
 from camcal.formats.poses import PoseKey, PoseRecord
 from camcal.formats.poses.record import PixelNoise

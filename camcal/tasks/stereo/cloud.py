@@ -10,8 +10,7 @@ import numpy as np
 from camcal.arrays import Array, FloatArray
 from camcal.dataclass import dataclass, field, replace
 from camcal.errors import InvalidInput
-from camcal.formats import disparity, disparity_sidecar, pointclouds, pose_text
-from camcal.formats.addresses import split_address
+from camcal.formats import disparity, disparity_sidecar, pointclouds, pose_text, split_address
 from camcal.formats.disparity import DisparityMap
 from camcal.formats.disparity_sidecar import Sidecar
 from camcal.images.files import load
@@ -22,10 +21,10 @@ from camcal.records import OMITTED, entry
 from camcal.run.fanout import fan_out
 from camcal.run.paths import IMAGE_SUFFIXES, find_pairs
 from camcal.run.process import over_threads
+from camcal.stereo.cloud import CloudMaker, require_thinning, thinned
+from camcal.stereo.depth import CAMERA, OPTICAL, UNITS, Frame, StereoImage, VertexStream, frame_named
 from camcal.stereo.disparity import Confidence, StereoGeometry
-from camcal.stereo.points.cloud import CloudMaker, require_thinning, thinned
-from camcal.stereo.points.frames import CAMERA, OPTICAL, UNITS, Frame, StereoImage, VertexStream, frame_named
-from camcal.stereo.points.selection import RADIUS, Selected, Selection, depth_figures, select
+from camcal.stereo.selection import RADIUS, Selected, Selection, depth_figures, select
 from camcal.tasks.stereo import rectified_pair
 from camcal.tasks.stereo.rectified_pair import RectifiedPair, named_file, stereo_image
 from camcal.tasks.stereo.rig_pair import (

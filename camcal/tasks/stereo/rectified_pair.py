@@ -15,8 +15,7 @@ from camcal.arrays import FloatArray
 from camcal.cameras.model import Camera
 from camcal.dataclass import dataclass, field
 from camcal.errors import FileError, InvalidInput
-from camcal.formats import cameras, disparity, disparity_sidecar, pair_calibration
-from camcal.formats.addresses import split_address
+from camcal.formats import cameras, disparity, disparity_sidecar, pair_calibration, split_address
 from camcal.formats.camera_file import CameraFile, Transform, pair_covariance
 from camcal.formats.cameras.record import MissingSize
 from camcal.formats.disparity import DisparityMap
@@ -24,15 +23,11 @@ from camcal.formats.disparity_sidecar import Sidecar
 from camcal.images.files import load
 from camcal.messages import Message
 from camcal.progress import SILENT, Progress
+from camcal.stereo.depth import StereoImage
+from camcal.stereo.depth_error import CalibratedPair, CalibrationError, calibration_error
 from camcal.stereo.disparity import StereoGeometry, of_pair, pinhole_intrinsics
-from camcal.stereo.points.calibration_error import CalibratedPair, CalibrationError, calibration_error
-from camcal.stereo.points.frames import StereoImage
 from camcal.tasks.given_camera import read_camera_file, require_no_image, require_whole
-from camcal.tasks.options import (
-    CAMERA_SUFFIXES,
-    GivenCamera,
-    ImagePart,
-)
+from camcal.tasks.options import CAMERA_SUFFIXES, GivenCamera, ImagePart
 from camcal.tasks.stereo.options import GeometryOptions
 
 SUFFIXES = (*CAMERA_SUFFIXES, pair_calibration.SUFFIX)  # of files that know cameras

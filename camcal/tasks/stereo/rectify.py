@@ -9,8 +9,7 @@ import numpy as np
 from camcal import files, records
 from camcal.dataclass import dataclass, replace
 from camcal.errors import InvalidInput
-from camcal.formats import native, pair_calibration
-from camcal.formats.addresses import split_address
+from camcal.formats import native, pair_calibration, split_address
 from camcal.formats.cameras import ros
 from camcal.images.files import load, save
 from camcal.images.video import frames

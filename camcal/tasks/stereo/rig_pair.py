@@ -15,8 +15,7 @@ from camcal.cameras.model import Camera
 from camcal.cameras.validity import ImageCircle
 from camcal.dataclass import dataclass, replace
 from camcal.errors import CamcalError, InvalidInput
-from camcal.formats import provenance
-from camcal.formats.addresses import split_address
+from camcal.formats import provenance, split_address
 from camcal.formats.camera_file import (
     STEP,
     CameraEntry,
@@ -34,20 +33,16 @@ from camcal.parsing import did_you_mean
 from camcal.progress import SILENT, Progress
 from camcal.raw.tiles import one_by_one
 from camcal.run.process import keep_freed_memory, over_threads
+from camcal.stereo.depth_error import CalibratedPair, calibration_error
 from camcal.stereo.disparity import Confidence, Disparity, of_rectification, too_few, why_not_rectified
 from camcal.stereo.matching.learned import learned_disparity
 from camcal.stereo.matching.match import match_prepared, within
 from camcal.stereo.matching.preparation import Masks, prepare
 from camcal.stereo.options import BEST, MatchOptions, RectifiedViewOptions
-from camcal.stereo.points.calibration_error import CalibratedPair, calibration_error
 from camcal.stereo.rectify.plan import DEFAULTS, PairMaps, build_pair_maps, plan_rectification
 from camcal.stereo.rectify.record import Rectification, rectified_covariance
 from camcal.tasks.given_camera import Size, read_camera_file, view_outside_region
-from camcal.tasks.options import (
-    CAMERA_SUFFIXES,
-    GivenCamera,
-    ImagePart,
-)
+from camcal.tasks.options import CAMERA_SUFFIXES, GivenCamera, ImagePart
 from camcal.tasks.stereo.rectified_pair import RectifiedPair
 
 _AS_FILE = GivenCamera()

@@ -95,7 +95,7 @@ POINTS, FILTERS = "Points", "Which pixels"
 
 @dataclass(frozen=True)
 class PointOptions(OptionsRecord):
-    """Which pixels become points. See `stereo.points.selection.Selection` for what is not said here.
+    """Which pixels become points. See `stereo.selection.Selection` for what is not said here.
 
     min_depth, max_depth: metres. crop: xmin, xmax, ymin, ymax, zmin, zmax, metres. mask: an image, not zero where
     points are wanted. max_sigma: largest standard deviation of the depth, as a share of it. min_confidence: a number or
@@ -165,7 +165,7 @@ class PointOptions(OptionsRecord):
 class VertexOptions(OptionsRecord):
     """What is said of a point, and where.
 
-    frame: see `stereo.points.frames`, None for the left camera as it was before camcal rectified its images. unit: see
+    frame: see `stereo.depth`, None for the left camera as it was before camcal rectified its images. unit: see
     there. pose: file of the camera's place.
     """
 

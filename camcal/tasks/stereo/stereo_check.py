@@ -19,7 +19,7 @@ from camcal.report.stereo_pictures import SUFFIXES, picture_of
 from camcal.run.fanout import fan_out, only_outcome
 from camcal.run.outputs import claim, writes
 from camcal.run.paths import find_pairs, place
-from camcal.stereo.pair.pair_check import PairCheck, check_pair
+from camcal.stereo.pair_check import PairCheck, check_pair
 from camcal.tasks.given_camera import Size
 from camcal.tasks.options import GivenCamera
 from camcal.tasks.stereo.options import GeometryOptions, StereoCheckOptions

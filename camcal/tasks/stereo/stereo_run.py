@@ -29,7 +29,7 @@ from camcal.run import fingerprint
 from camcal.run.outputs import claim, writes
 from camcal.run.paths import find_media, find_pairs, place
 from camcal.run.resume import Items, resumable
-from camcal.stereo.pair.pair_check import PairCheck
+from camcal.stereo.pair_check import PairCheck
 from camcal.stereo.rectify.record import Rectification
 from camcal.tasks.options import GivenCamera
 from camcal.tasks.rigs.calibrate_rig import calibrated

@@ -29,9 +29,9 @@ from camcal.report.colour_scale import Paint, paint_of
 from camcal.run.outputs import writes
 from camcal.run.paths import require_there
 from camcal.run.process import over_threads
-from camcal.stereo.points.cloud import CloudMaker
-from camcal.stereo.points.frames import WORDS, Frame, VertexStream
-from camcal.stereo.points.selection import Selection, select
+from camcal.stereo.cloud import CloudMaker
+from camcal.stereo.depth import WORDS, Frame, VertexStream
+from camcal.stereo.selection import Selection, select
 from camcal.tasks.stereo.options import KINDS, PAGE, PICTURE, RECORDING, VIDEO, WINDOW, GeometryOptions, ViewOptions
 from camcal.tasks.stereo.rectified_pair import named_file, pair_of, stereo_image
 

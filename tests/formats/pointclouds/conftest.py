@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from camcal.stereo.points.frames import COLOUR, NORMAL, POSITION, VertexStream, vertex_type
+from camcal.stereo.depth import COLOUR, NORMAL, POSITION, VertexStream, vertex_type
 
 
 @pytest.fixture(scope="session")

@@ -9,7 +9,7 @@ import pytest
 from camcal.errors import FileError, InvalidInput
 from camcal.formats.pointclouds import write
 from camcal.formats.pointclouds.glb import _description, _type_of, read
-from camcal.stereo.points.frames import VertexStream
+from camcal.stereo.depth import VertexStream
 
 
 def chunks_of(content):

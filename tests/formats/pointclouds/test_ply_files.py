@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from camcal.errors import FileError
 from camcal.formats.pointclouds import ply, write
-from camcal.stereo.points.frames import VertexStream, vertex_type
+from camcal.stereo.depth import VertexStream, vertex_type
 
 TYPES = {b"float": "<f4", b"uchar": "u1"}
 SQUARE = b"0 0 5\n1 0 5\n1 1 5\n"

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from camcal.errors import CamcalError, FileError, InvalidInput
 from camcal.formats import pointclouds
-from camcal.stereo.points.frames import VertexStream, vertex_type
+from camcal.stereo.depth import VertexStream, vertex_type
 
 LASER = (".las", ".laz")
 SUFFIXES = [

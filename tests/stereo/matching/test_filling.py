@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from camcal.stereo.matching.filling import everywhere, from_the_background, smoothed, without_spikes
+from camcal.stereo.matching.matchers import everywhere, from_the_background, smoothed, without_spikes
 
 shapes = st.tuples(st.integers(1, 5), st.integers(1, 12) | st.integers(40, 90))
 

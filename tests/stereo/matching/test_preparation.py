@@ -5,7 +5,7 @@ import pytest
 from textured import darker, noisy, textured_pair, waves
 
 from camcal.stereo.matching.preparation import prepare
-from camcal.stereo.pair.pair_check import SWAPPED
+from camcal.stereo.pair_check import SWAPPED
 
 
 @pytest.mark.parametrize("exposed", ["left", "right"])

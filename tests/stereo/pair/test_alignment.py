@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from textured import noisy, textured_pair, waves
 
 from camcal.errors import InsufficientData, InvalidInput
-from camcal.stereo.pair.alignment import align_rows, quick_residual, residual_of, row_correction, vertical_residual
-from camcal.stereo.pair.coarse import Matches
+from camcal.stereo.alignment import align_rows, quick_residual, residual_of, row_correction, vertical_residual
+from camcal.stereo.coarse import Matches
 
 SIZE = (300, 240)
 

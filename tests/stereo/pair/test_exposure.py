@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from textured import darker, noisy, textured_pair, waves
 
-from camcal.stereo.pair.alignment import vertical_residual
-from camcal.stereo.pair.pair_check import exposure_of
+from camcal.stereo.alignment import vertical_residual
+from camcal.stereo.pair_check import exposure_of
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,7 @@ import pytest
 from textured import darker, noisy, textured_pair, waves
 
 from camcal.errors import InvalidInput
-from camcal.stereo.pair.pair_check import IDENTICAL, SWAPPED, check_pair
+from camcal.stereo.pair_check import IDENTICAL, SWAPPED, check_pair
 
 
 @pytest.fixture(scope="module")

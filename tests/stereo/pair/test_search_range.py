@@ -6,7 +6,7 @@ import pytest
 from textured import darker, noisy, textured_pair, waves
 
 from camcal.errors import InvalidInput
-from camcal.stereo.pair.coarse import coarse_map, default_range, range_in
+from camcal.stereo.coarse import coarse_map, default_range, range_in
 
 SLACK = 8  # px; two pixels of a look 256 wide, and rounding, on either side
 

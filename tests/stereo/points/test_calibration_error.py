@@ -7,9 +7,9 @@ from camcal.cameras.catalogue import model_named
 from camcal.cameras.model import Camera
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
+from camcal.stereo.depth import StereoImage
+from camcal.stereo.depth_error import CalibratedPair, CalibrationError, calibration_error
 from camcal.stereo.disparity import StereoGeometry
-from camcal.stereo.points.calibration_error import CalibratedPair, CalibrationError, calibration_error
-from camcal.stereo.points.frames import StereoImage
 from camcal.stereo.rectify.record import CYLINDRICAL, LATLON, PINHOLE
 
 LENSES = {

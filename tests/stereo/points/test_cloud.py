@@ -7,11 +7,11 @@ from hypothesis import strategies as st
 
 from camcal.errors import InvalidInput
 from camcal.geometry.pose import Pose
+from camcal.stereo.cloud import CloudMaker, thinned
+from camcal.stereo.depth import Frame, StereoImage
+from camcal.stereo.depth_error import CalibrationError
 from camcal.stereo.disparity import StereoGeometry
-from camcal.stereo.points.calibration_error import CalibrationError
-from camcal.stereo.points.cloud import CloudMaker, thinned
-from camcal.stereo.points.frames import Frame, StereoImage
-from camcal.stereo.points.selection import Selection, depth_figures, select
+from camcal.stereo.selection import Selection, depth_figures, select
 
 GEOMETRY = StereoGeometry(fx=700.0, fy=690.0, cx=3.5, cy=1.25, baseline=0.12)
 ALL = Selection(outliers="none")

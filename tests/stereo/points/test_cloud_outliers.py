@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 
 from camcal.errors import InvalidInput
-from camcal.stereo.points.selection import NEIGHBOURS, has_neighbours, has_similar_neighbours
+from camcal.stereo.selection import NEIGHBOURS, has_neighbours, has_similar_neighbours
 
 VALUES = st.sampled_from([np.nan, 5.0, 5.5, 6.0, 6.5, 7.0, 300.0])
 

@@ -5,9 +5,9 @@ import pytest
 
 from camcal.errors import InvalidInput
 from camcal.run.process import over_threads
+from camcal.stereo.depth import Frame, StereoImage, frame_named
 from camcal.stereo.disparity import Confidence, StereoGeometry
-from camcal.stereo.points.frames import Frame, StereoImage, frame_named
-from camcal.stereo.points.selection import Selection, select
+from camcal.stereo.selection import Selection, select
 
 GEOMETRY = StereoGeometry(fx=100.0, fy=100.0, cx=1.0, cy=0.0, baseline=0.84)
 ROW = np.array([[84.0, 42.0, 28.0, 21.0]])  # 1, 2, 3 and 4 m

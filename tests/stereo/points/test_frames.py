@@ -6,8 +6,8 @@ import pytest
 from camcal.errors import InvalidInput
 from camcal.geometry import rotation as so3
 from camcal.geometry.pose import Pose
+from camcal.stereo.depth import FRAMES, BackProjection, Frame, frame_named
 from camcal.stereo.disparity import StereoGeometry
-from camcal.stereo.points.frames import FRAMES, BackProjection, Frame, frame_named
 
 POINT = np.array([1.0, 2.0, 10.0])  # to the right, below, ahead
 TURN = so3.about_y(0.1)

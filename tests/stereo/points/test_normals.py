@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from camcal.stereo.cloud import normals
+from camcal.stereo.depth import StereoImage
 from camcal.stereo.disparity import StereoGeometry
-from camcal.stereo.points.cloud import normals
-from camcal.stereo.points.frames import StereoImage
 
 GEOMETRY = StereoGeometry(fx=800.0, fy=780.0, cx=31.0, cy=18.5, baseline=0.2, doffs=4.0)
 SHAPE = (40, 60)

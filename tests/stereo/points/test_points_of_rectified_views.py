@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from camcal.errors import InvalidInput
+from camcal.stereo.cloud import normals
+from camcal.stereo.depth import BackProjection, Frame, StereoImage
 from camcal.stereo.disparity import StereoGeometry
-from camcal.stereo.points.cloud import normals
-from camcal.stereo.points.frames import BackProjection, Frame, StereoImage
 from camcal.stereo.rectify.record import AXES, CYLINDRICAL, LATLON, PINHOLE, PROJECTIONS
 
 SHAPE = (60, 80)

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from camcal.errors import InvalidInput
-from camcal.stereo.points.cloud import drawn, one_per_voxel
-from camcal.stereo.points.frames import vertex_type
+from camcal.stereo.cloud import drawn, one_per_voxel
+from camcal.stereo.depth import vertex_type
 
 EVERYTHING = vertex_type(colour=True, intensity=True, normals=True, sigma=True)
 

@@ -1,1 +1,0 @@
-"""Thin-lens formulas of lenses and sensors: focus, magnification, blur, exposure."""

@@ -1,1 +1,0 @@
-"""Transforms between named frames."""
