@@ -152,7 +152,7 @@ def row(name: str, lines: list[str], earlier: list[str]) -> tuple[float, str]:
     }
     worst = max(differences, key=lambda line: differences[line], default="")
     largest = np.inf if now.keys() != before.keys() else differences[worst]
-    return largest, f"| {name} | {len(now)} | {largest:.1e} | {worst.split(' | ')[1] if largest else ''} |"
+    return largest, f"| {name} | {len(now)} | {largest:.1e} | {worst.split(' | ')[1] if worst and largest else ''} |"
 
 
 def main() -> None:
