@@ -18,7 +18,7 @@ if TYPE_CHECKING:  # to a type checker, and to who reads, they are the same
 else:
 
     def dataclass(cls: Any = None, /, *, frozen: bool = False, eq: bool = True, kw_only: bool = False) -> Any:
-        """Return the class as `dataclasses.dataclass` would, which also knows it as one of its own."""
+        """Return the class as the library would, as one of its own; every field is an argument: no init=False."""
         if cls is None:
             return partial(dataclass, frozen=frozen, eq=eq, kw_only=kw_only)
         own = {*vars(cls)}

@@ -85,6 +85,17 @@ def test_objects_are_equal_if_they_are_of_one_class_and_all_that_is_compared_is(
     assert len({point(1.0), point(1.0), point(2.0)}) == 2
 
 
+@pytest.mark.parametrize("decorator", [dataclass, dataclasses.dataclass])
+def test_a_hash_leaves_out_what_is_not_hashed_though_it_is_compared(decorator):
+    @decorator(frozen=True)
+    class Weighed:
+        name: str
+        weights: list = field(default_factory=list, hash=False)
+
+    assert hash(Weighed("a", [1])) == hash(Weighed("a", [2]))
+    assert Weighed("a", [1]) != Weighed("a", [2])
+
+
 def test_defaults_are_made_anew_for_each_object():
     point = OURS[0]
     assert point(1.0).tags is not point(1.0).tags

@@ -42,7 +42,7 @@ def test_an_edge_and_the_outer_corner_of_a_square_do_not_look_like_corners():
     image = picture(BOARD, TILTED, SIZE)
     _, _, agreement = measure_saddles_at(image, PIXELS + STEPS[..., 0] / 2, STEPS, 0.15)
     assert agreement.max() < 0.2
-    wide = grids.predict(grids.padded(GRID))
+    wide = grids.predict(grids.widen(GRID))
     rim = np.concatenate([wide[0, 1:-1], wide[-1, 1:-1]])
     steps = np.concatenate([grids.steps(wide)[0, 1:-1], grids.steps(wide)[-1, 1:-1]])
     assert measure_saddles_at(image, rim, steps, 0.15)[2].max() < 0.75  # as checker.AGREEMENT asks

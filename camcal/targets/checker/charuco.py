@@ -119,7 +119,7 @@ def bright_squares(checker: Checker) -> tuple[Array, Array]:
     corners: (4, S, 2) pixels: upper left, upper right, lower left, lower right. Squares beyond the outer corners are
     among them.
     """
-    wide = grids.predict(grids.padded(checker.grid))
+    wide = grids.predict(grids.widen(checker.grid))
     wide[1:-1, 1:-1] = np.where(checker.found[..., None], checker.grid, wide[1:-1, 1:-1])
     row, column = np.indices((wide.shape[0] - 1, wide.shape[1] - 1)).reshape(2, -1)
     corners = np.stack([wide[row, column], wide[row, column + 1], wide[row + 1, column], wide[row + 1, column + 1]])

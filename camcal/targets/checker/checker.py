@@ -129,7 +129,7 @@ def extended(gray: Array, checker: Checker) -> Checker:
     A board of the stated size comes back as it is.
     """
     for _ in range(MAX_EXTENSION):
-        wide = grids.padded(checker.grid)
+        wide = grids.widen(checker.grid)
         beyond = np.ones(wide.shape[:2], dtype=bool)
         beyond[1:-1, 1:-1] = False
         places = np.where(beyond[..., None], grids.predict(wide), wide)

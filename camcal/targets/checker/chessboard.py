@@ -101,7 +101,7 @@ def _part_or_another(gray: Array, checker: Checker, board: Board) -> BoardDetect
 
 def _leaves(gray: Array, pattern: Array) -> bool:
     """Return whether the next row or column of a pattern would lie outside the image."""
-    wide = grids.predict(grids.padded(pattern))
+    wide = grids.predict(grids.widen(pattern))
     outside = np.asarray(((wide < 0) | (wide > np.array(gray.shape[::-1]) - 1)).any(axis=-1))
     return any(side.mean() > SIDE for side in grids.outer(outside))
 
@@ -165,7 +165,7 @@ def _ending_on(board: Board, ids: Array) -> Array:
 
 def _ends(gray: Array, checker: Checker) -> Iterator[bool]:
     """Yield for the top, bottom, left and right of a pattern whether the image shows the end of the board there."""
-    wide = grids.predict(grids.padded(checker.grid))
+    wide = grids.predict(grids.widen(checker.grid))
     along, down = np.moveaxis(grids.steps(wide), -1, 0)
     places, across, downwards = (grids.outer(values) for values in (wide, along, down))
     beside = (*across[:2], *downwards[2:])
